@@ -1,0 +1,1 @@
+"""Attitude from antenna baselines: angles with full covariances, rigid bodies, integrity."""

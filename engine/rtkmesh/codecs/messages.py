@@ -1,0 +1,57 @@
+"""What all codecs share: frames, the messages that decoders give, and the counters of what they refuse.
+
+A decoder has three outcomes: messages, need more bytes, or rejected with a reason that is counted. It never raises for
+what a peer sent, and it never confuses the last two.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, KlobucharParameters, ReceiverFix, ReferenceStation
+from rtkmesh.gnss.epoch import Epoch
+
+
+class Protocol(StrEnum):
+    """Framing of a byte stream; also the last chunk of ``rtk/{rx}/raw/{protocol}``."""
+
+    UBX = "ubx"
+    RTCM3 = "rtcm3"
+    NMEA = "nmea"
+    UNICORE = "unicore"
+    SBF = "sbf"
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One whole, checksum-verified frame as it came, header and checksum included.
+
+    ``kind`` names the message: UBX ``"02-15"`` (class-id in hex), RTCM 3 ``"1077"``, NMEA ``"GNGGA"``.
+    """
+
+    protocol: Protocol
+    kind: str
+    data: bytes
+
+
+Message = Epoch | Ephemeris | KlobucharParameters | ReferenceStation | GlonassBias | ReceiverFix
+
+
+@dataclass(slots=True)
+class FramingCounters:
+    """What a framer saw: whole frames by ``protocol/kind``, failed checksums by protocol, bytes that belonged to no frame."""
+
+    frames: Counter[str] = field(default_factory=Counter[str])
+    checksum_failures: Counter[str] = field(default_factory=Counter[str])
+    bytes_in: int = 0
+    bytes_skipped: int = 0
+
+
+@dataclass(slots=True)
+class DecodingCounters:
+    """What a decoder saw: epochs, frames understood, not understood and rejected, each by ``protocol/kind`` (and reason)."""
+
+    epochs: int = 0
+    decoded: Counter[str] = field(default_factory=Counter[str])
+    ignored: Counter[str] = field(default_factory=Counter[str])
+    rejected: Counter[str] = field(default_factory=Counter[str])

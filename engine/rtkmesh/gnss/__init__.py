@@ -1,0 +1,1 @@
+"""Time, signals, frames, epochs and ephemerides: the values that everything else speaks in."""

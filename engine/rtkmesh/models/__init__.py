@@ -1,0 +1,1 @@
+"""Orbits and clocks, atmosphere, antennas, noise, single-point positioning."""

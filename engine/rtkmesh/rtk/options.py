@@ -1,0 +1,105 @@
+"""Options of the engine, with units, defaults and the reason for each default. Angles in radians."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from math import radians
+
+from rtkmesh.errors import OptionError
+
+
+class Mode(StrEnum):
+    """What is known of the receivers' motion (RTKLIB's names)."""
+
+    SINGLE = "single"
+    DGPS = "dgps"
+    STATIC = "static"
+    STATIC_START = "static-start"
+    KINEMATIC = "kinematic"
+    MOVING_BASE = "moving-base"
+    FIXED = "fixed"
+
+
+class AmbiguityMode(StrEnum):
+    """How integer ambiguities are used from one epoch to the next."""
+
+    OFF = "off"
+    INSTANTANEOUS = "instantaneous"
+    CONTINUOUS = "continuous"
+    FIX_AND_HOLD = "fix-and-hold"
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseOptions:
+    """Measurement noise: sigma^2 = a^2 + (b / sin elevation)^2 for phase, times ``code_ratio``^2 for code."""
+
+    phase_a_m: float = 0.003  # RTKLIB stats-errphase
+    phase_b_m: float = 0.003  # RTKLIB stats-errphaseel
+    code_ratio: float = 300.0  # low-cost receivers: 0.3 to 1 m (demo5); survey grade is better
+    doppler_mps: float = 0.1
+    ephemeris_m_per_m: float = 0.5e-6  # broadcast orbit error over the baseline: 0.5 mm per km
+
+
+@dataclass(frozen=True, slots=True)
+class DynamicsOptions:
+    """Process noise of the moving states (per square root of second)."""
+
+    acceleration_horizontal_mps2: float = 3.0
+    acceleration_vertical_mps2: float = 1.5
+    ambiguity_cyc: float = 3e-3  # coloured code noise must not freeze the float (algorithms.md, finding 9)
+
+
+@dataclass(frozen=True, slots=True)
+class SlipOptions:
+    """Cycle slip tests."""
+
+    geometry_free_m: float = 0.05
+    time_difference_cyc: float = 0.35
+    maximum_gap_s: float = 20.0  # ambiguities are kept over outages up to this
+
+
+@dataclass(frozen=True, slots=True)
+class AmbiguityOptions:
+    """Integer ambiguity resolution and validation."""
+
+    mode: AmbiguityMode = AmbiguityMode.CONTINUOUS
+    ratio: float = 3.0
+    elevation_mask_rad: float = radians(15.0)
+    minimum_lock_epochs: int = 0
+    minimum_ambiguities: int = 5  # with fewer, ratio 3 passes are wrong more often than right (algorithms.md, A4)
+    maximum_position_sigma_m: float = 1.0  # the float must be this good before integers are tried
+    hold_variance_cyc2: float = 0.1
+    hold_after_epochs: int = 20
+
+
+@dataclass(frozen=True, slots=True)
+class RtkOptions:
+    """Everything that a solver instance can be told.
+
+    ``systems`` are RINEX letters; ``frequencies`` is the number of carrier bands used per satellite; ``max_age_s`` the
+    largest age of a base epoch; ``baseline_length_m`` and its sigma constrain a moving base (None: unknown length);
+    ``excluded`` are RINEX ids. ``code_only_systems`` never enter the integer search.
+    """
+
+    mode: Mode = Mode.KINEMATIC
+    systems: str = "GREJC"
+    frequencies: int = 2
+    elevation_mask_rad: float = radians(15.0)
+    cn0_mask_dbhz: float = 0.0
+    max_age_s: float = 30.0
+    time_tolerance_s: float = 0.025  # rover and base tags of one epoch differ by receiver clock steering
+    baseline_length_m: float | None = None
+    baseline_sigma_m: float = 0.01
+    fixed_position_ecef_m: tuple[float, float, float] | None = None
+    excluded: tuple[str, ...] = ()
+    noise: NoiseOptions = field(default_factory=NoiseOptions)
+    dynamics: DynamicsOptions = field(default_factory=DynamicsOptions)
+    slip: SlipOptions = field(default_factory=SlipOptions)
+    ambiguity: AmbiguityOptions = field(default_factory=AmbiguityOptions)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.frequencies <= 5:
+            raise OptionError(f"frequencies is {self.frequencies}, must be 1 to 5")
+        if unknown := set(self.systems) - set("GRECJSI"):
+            raise OptionError(f"systems has unknown letters {''.join(sorted(unknown))!r}; known are GRECJSI")
+        if self.mode is Mode.FIXED and self.fixed_position_ecef_m is None:
+            raise OptionError("mode 'fixed' needs fixed_position_ecef_m")

@@ -1,0 +1,120 @@
+"""What one epoch gives: a position or a baseline with everything one must know to trust it."""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh.gnss.time import GpsTime
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """Kind of solution, numbered as RTKLIB's Q."""
+
+    NONE = 0
+    FIX = 1
+    FLOAT = 2
+    SBAS = 3
+    DGPS = 4
+    SINGLE = 5
+
+
+class Reason(IntEnum):
+    """Why an epoch has no better solution (data faults are values)."""
+
+    OK = 0
+    NO_EPHEMERIS = 1
+    FEW_SATELLITES = 2
+    NO_CONVERGENCE = 3
+    NO_BASE = 4
+    BASE_TOO_OLD = 5
+    NO_BASE_POSITION = 6
+    FEW_COMMON_SATELLITES = 7
+    FEW_AMBIGUITIES = 8
+    RATIO = 9
+    FLOAT_TOO_UNCERTAIN = 10
+    VALIDATION = 11
+    FILTER_RESET = 12
+    RESIDUALS = 13
+    AMBIGUITY_OFF = 14
+
+
+# Bits of SatelliteTable.state.
+USED_CODE, USED_PHASE, FIXED, SLIPPED, REJECTED, HALF_CYCLE = 1, 2, 4, 8, 16, 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SatelliteTable:
+    """Per satellite and signal: what the filter made of it. All columns have one length; unknown is NaN."""
+
+    satellite: NDArray[np.int16]
+    signal: NDArray[np.int16]
+    state: NDArray[np.uint8]
+    azimuth_rad: Vector
+    elevation_rad: Vector
+    cn0_dbhz: Vector
+    code_residual_m: Vector
+    phase_residual_m: Vector
+    ambiguity_cyc: Vector
+    lock_s: Vector
+    slips: NDArray[np.int32]
+
+
+def no_satellites() -> SatelliteTable:
+    """Return the empty table."""
+    z = np.zeros(0)
+    i2, u1, i4 = np.zeros(0, np.int16), np.zeros(0, np.uint8), np.zeros(0, np.int32)
+    return SatelliteTable(i2, i2, u1, z, z, z, z, z, z, z, i4)
+
+
+def _nan3() -> Vector:
+    return np.full(3, np.nan)
+
+
+def _nan33() -> Matrix:
+    return np.full((3, 3), np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The solution of one rover epoch. Vectors are ECEF, metres and seconds; covariances are full 3x3; unknown is NaN.
+
+    ``time`` is the receiver's epoch tag (GPST) that pairs it with others; ``age_s`` is rover minus base epoch;
+    ``baseline_ecef_m`` is rover minus base. ``ratio`` is second-best over best squared norm of the integer search (0: none).
+    ``single_position_ecef_m`` is this epoch's single-point position. ``grade`` 0 to 3: how many independent validations a fix passed.
+    ``waited_s`` is the time between the rover epoch's arrival and its solving on the deadline clock.
+    """
+
+    time: GpsTime
+    status: Status = Status.NONE
+    reason: Reason = Reason.OK
+    position_ecef_m: Vector = field(default_factory=_nan3)
+    position_cov_ecef_m2: Matrix = field(default_factory=_nan33)
+    velocity_ecef_mps: Vector = field(default_factory=_nan3)
+    velocity_cov_ecef_m2ps2: Matrix = field(default_factory=_nan33)
+    acceleration_ecef_mps2: Vector = field(default_factory=_nan3)
+    base_ecef_m: Vector = field(default_factory=_nan3)
+    baseline_ecef_m: Vector = field(default_factory=_nan3)
+    baseline_cov_ecef_m2: Matrix = field(default_factory=_nan33)
+    single_position_ecef_m: Vector = field(default_factory=_nan3)
+    receiver_clock_s: float = float("nan")
+    age_s: float = float("nan")
+    ratio: float = 0.0
+    ratio_threshold: float = 0.0
+    success_rate: float = 0.0
+    grade: int = 0
+    ambiguities: int = 0
+    ambiguities_fixed: int = 0
+    satellites_used: int = 0
+    satellites_rover: int = 0
+    satellites_base: int = 0
+    code_rms_m: float = float("nan")
+    phase_rms_m: float = float("nan")
+    nis_per_observation: float = float("nan")
+    resets: int = 0
+    waited_s: float = 0.0
+    satellites: SatelliteTable = field(default_factory=no_satellites)

@@ -1,0 +1,1 @@
+"""The wire: keys, structs and their encoding. Standard library and msgspec only."""

@@ -1,0 +1,1 @@
+"""The shell: one folder per role of the deployment."""

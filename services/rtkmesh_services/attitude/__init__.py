@@ -1,0 +1,1 @@
+"""The attitude part of the shell."""

@@ -1,0 +1,1 @@
+"""The mapping part of the shell."""

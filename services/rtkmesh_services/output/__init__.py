@@ -1,0 +1,1 @@
+"""The output part of the shell."""

@@ -1,0 +1,1 @@
+"""The solver part of the shell."""

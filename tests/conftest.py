@@ -1,0 +1,43 @@
+"""Shared fixtures: where the recordings and the oracles are."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def data_folder() -> Path | None:
+    """Return the folder of the recordings, or None."""
+    for candidate in (os.environ.get("RTKMESH_DATA"), REPOSITORY.parent / "shared" / "data"):
+        if candidate and (Path(candidate) / "cases.toml").is_file():
+            return Path(candidate)
+    return None
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The recordings; the test skips without them, except on CI, where they must be."""
+    folder = data_folder()
+    if folder is None:
+        if os.environ.get("CI"):
+            pytest.fail("the recordings are missing on CI (RTKMESH_DATA or ../shared/data)")
+        pytest.skip("no recordings: set RTKMESH_DATA")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def rtklib_program():
+    """A function that returns the path of one of RTKLIB's programs; the test skips without it, except on CI."""
+
+    def find(name: str) -> str:
+        path = shutil.which(name)
+        if path is None:
+            if os.environ.get("CI"):
+                pytest.fail(f"{name} is missing on CI (Debian package rtklib)")
+            pytest.skip(f"{name} is not installed (Debian package rtklib)")
+        return path
+
+    return find
