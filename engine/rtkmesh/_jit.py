@@ -11,12 +11,9 @@ import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_compile = cast(
-    "Callable[[F], F]",
-    numba.njit(cache=True, nogil=True, error_model="numpy"),  # pyright: ignore[reportUnknownMemberType]
-)
+_compile: Callable[[Callable[..., Any]], Callable[..., Any]] = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
-def kernel(function: F) -> F:
+def kernel(function: F) -> F:  # noqa: UP047  pyright and numba agree on this form in Python 3.11
     """Compile ``function`` with numba: cached on disk, without the GIL, IEEE division."""
-    return _compile(function)
+    return cast("F", _compile(function))

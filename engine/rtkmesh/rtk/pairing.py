@@ -1,0 +1,269 @@
+"""Which base epoch belongs to which rover epoch, and when to stop waiting for it.
+
+Epochs are paired by their time tags. A rover epoch waits for the base epoch that is expected for it, until a deadline:
+
+* Live, the deadline is a clock that the caller passes in. The base's cadence is learned, so that a 10 Hz rover does not wait for
+  epochs that a 1 Hz base never sends; whether the base's stream reorders is learned too.
+* In replay the clock is the base log's own: a rover epoch is given up when the base has passed it by ``maximum_wait_s``.
+  The result then depends on the two streams alone, never on how they were interleaved.
+
+A base epoch of the future is never used, an epoch that comes twice counts once, and rover epochs leave in rising time order.
+"""
+
+from bisect import bisect_left, insort
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import floor, inf
+from typing import Final
+
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.time import GpsTime
+
+_KEPT_BASES: Final = 512
+_CADENCE_GAPS: Final = 20  # base gaps that the cadence is learned from
+_FIRST_WAITS: Final = 3.0  # a base that never sent is waited for during so many maximum waits
+_ORDERLY_EPOCHS: Final = 50  # base epochs in order before the stream is trusted not to reorder
+_FIRST_REORDER_WAIT_S: Final = 0.45
+_ORDERLY_REORDER_WAIT_S: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class PairingOptions:
+    """How rover and base epochs are paired.
+
+    ``tolerance_s``: largest difference of tags of one epoch (receiver clock steering); ``maximum_wait_s``: how long a rover
+    epoch waits; ``matched_only``: never use another base epoch than the matching one; ``silent_s``: a base that sent nothing for so
+    long is not waited for; ``has_base``: False in mode single; ``replay``: the deadline clock is the base log's;
+    ``capacity``: rover epochs that may wait (live: the oldest is dropped and counted beyond that).
+    """
+
+    tolerance_s: float = 0.025
+    maximum_wait_s: float = 1.0
+    matched_only: bool = False
+    silent_s: float = 30.0
+    has_base: bool = True
+    replay: bool = False
+    capacity: int = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """A rover epoch on its way to the engine, with its base epoch or None; ``order`` is its place in the rover's stream."""
+
+    rover: Epoch
+    base: Epoch | None
+    order: int
+    waited_s: float
+
+
+@dataclass(slots=True)
+class PairingCounters:
+    """What happened to epochs."""
+
+    paired: int = 0
+    unmatched: int = 0
+    rover_duplicates: int = 0
+    rover_late: int = 0
+    rover_dropped: int = 0
+    base_duplicates: int = 0
+    base_reordered: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waiting:
+    epoch: Epoch
+    order: int
+    arrived_s: float
+
+
+@dataclass(slots=True, eq=False)
+class _Base:
+    epoch: Epoch
+    order: int
+    arrived_s: float
+
+    def __lt__(self, other: "_Base") -> bool:
+        return self.epoch.time < other.epoch.time
+
+
+@dataclass(slots=True)
+class Pairing:
+    """The matching buffer of one solver. Mutable; holds epochs only."""
+
+    options: PairingOptions
+    counters: PairingCounters = field(default_factory=PairingCounters)
+    _rovers: deque[_Waiting] = field(default_factory=deque[_Waiting])
+    _bases: list[_Base] = field(default_factory=list[_Base])
+    _rover_order: int = 0
+    _base_order: int = 0
+    _base_ended: bool = False
+    _last_solved: GpsTime | None = None
+    _base_arrived_s: float = -inf
+    _first_rover_s: float = inf
+    _reorder_wait_s: float = _FIRST_REORDER_WAIT_S
+    _orderly: int = 0
+
+    def __len__(self) -> int:
+        return len(self._rovers)
+
+    @property
+    def rover_order(self) -> int:
+        """Number of rover epochs seen so far."""
+        return self._rover_order
+
+    def add_rover(self, epoch: Epoch, now_s: float) -> None:
+        """Take a rover epoch that arrived at ``now_s`` (s, the caller's monotonic clock; unused in replay)."""
+        self._rover_order += 1
+        self._first_rover_s = min(self._first_rover_s, now_s)
+        if self._last_solved is not None and epoch.time - self._last_solved <= 0.0:
+            if epoch.time == self._last_solved:
+                self.counters.rover_duplicates += 1
+            else:
+                self.counters.rover_late += 1
+            return
+        if any(waiting.epoch.time == epoch.time for waiting in self._rovers):
+            self.counters.rover_duplicates += 1
+            return
+        self._rovers.append(_Waiting(epoch, self._rover_order, now_s))
+        if len(self._rovers) > 1 and self._rovers[-2].epoch.time > epoch.time:
+            self._rovers = deque(sorted(self._rovers, key=lambda waiting: waiting.epoch.time))
+        if len(self._rovers) > self.options.capacity and not self.options.replay:
+            self._rovers.popleft()
+            self.counters.rover_dropped += 1
+
+    def add_base(self, epoch: Epoch, now_s: float) -> None:
+        """Take a base epoch that arrived at ``now_s``."""
+        self._base_order += 1
+        self._base_arrived_s = now_s
+        if self._match(epoch.time, inf) is not None:
+            self.counters.base_duplicates += 1
+            return
+        base = _Base(epoch, self._base_order, now_s)
+        if self._bases and epoch.time < self._bases[-1].epoch.time:
+            self._learn_reordering(base)
+        else:
+            self._orderly += 1
+            if self._orderly >= _ORDERLY_EPOCHS:
+                self._reorder_wait_s = _ORDERLY_REORDER_WAIT_S
+        insort(self._bases, base)
+        if len(self._bases) > _KEPT_BASES:
+            del self._bases[0]
+
+    def end_base(self) -> None:
+        """No further base epoch will come."""
+        self._base_ended = True
+
+    def next_pair(self, now_s: float) -> Pair | None:
+        """Return the oldest rover epoch if its waiting is over, with its base epoch; None while it waits."""
+        if not self._rovers:
+            return None
+        waiting = self._rovers[0]
+        found, base = self._decide(waiting, now_s)
+        if not found:
+            return None
+        self._rovers.popleft()
+        self._last_solved = waiting.epoch.time
+        self._count(waiting, base)
+        self._forget(waiting.epoch.time)
+        return Pair(waiting.epoch, base, waiting.order, 0.0 if self.options.replay else max(0.0, now_s - waiting.arrived_s))
+
+    def deadline_s(self) -> float:
+        """Return the instant (caller's clock) at which ``next_pair`` must be asked again without new input; inf if none."""
+        if not self._rovers or self.options.replay or not self.options.has_base:
+            return inf
+        waiting = self._rovers[0]
+        due = min(waiting.arrived_s + self.options.maximum_wait_s, self._silent_from_s())
+        newer = self._first_newer(waiting.epoch.time)
+        return due if newer is None else min(due, max(newer.arrived_s, waiting.arrived_s) + self._reorder_wait_s)
+
+    def clear(self) -> None:
+        """Forget all epochs (not what was learned of the streams)."""
+        self._rovers.clear()
+        self._bases.clear()
+
+    def _decide(self, waiting: _Waiting, now_s: float) -> tuple[bool, Epoch | None]:
+        """Return (whether waiting is over, base epoch)."""
+        options, time = self.options, waiting.epoch.time
+        if not options.has_base:
+            return True, None
+        cut = self._cut(time) if options.replay else inf
+        match = self._match(time, cut)
+        if match is not None:
+            return True, match
+        over = (self._base_ended or cut < inf) if options.replay else self._given_up(waiting, now_s)
+        if not over:
+            return False, None
+        return True, None if options.matched_only else self._newest_before(time, cut)
+
+    def _given_up(self, waiting: _Waiting, now_s: float) -> bool:
+        """Live: is there nothing more to wait for? Ends of streams, deadline, cadence and silence of the base decide."""
+        time = waiting.epoch.time
+        if self._base_ended or now_s >= self.deadline_s():
+            return True
+        if self.options.matched_only:
+            return False
+        expected = self._expected(time)
+        newest = self._newest_before(time, inf)
+        return expected is not None and newest is not None and newest.time - expected >= -self.options.tolerance_s
+
+    def _silent_from_s(self) -> float:
+        """Return the instant from which the base counts as silent; one that never spoke gets a few waits from the start."""
+        if self._base_arrived_s == -inf:
+            return self._first_rover_s + _FIRST_WAITS * self.options.maximum_wait_s
+        return self._base_arrived_s + self.options.silent_s
+
+    def _expected(self, time: GpsTime) -> GpsTime | None:
+        """Return the newest epoch that the base's cadence promises up to ``time``; None while the cadence is not known."""
+        gaps = [b.epoch.time - a.epoch.time for a, b in pairwise(self._bases[-_CADENCE_GAPS - 1 :])]
+        if len(gaps) < 2:
+            return None
+        interval, newest = min(gaps), self._bases[-1].epoch.time
+        return newest + floor((time - newest + self.options.tolerance_s) / interval) * interval
+
+    def _cut(self, time: GpsTime) -> float:
+        """Return the stream order of the first base epoch that ends the wait for ``time`` on the log's clock; inf if none yet."""
+        limit = time + self.options.maximum_wait_s
+        return min((base.order for base in reversed(self._bases) if base.epoch.time >= limit), default=inf)
+
+    def _match(self, time: GpsTime, cut: float) -> Epoch | None:
+        """Return the base epoch whose tag is nearest to ``time`` within the tolerance, among those up to ``cut`` in the stream."""
+        best, best_gap = None, self.options.tolerance_s
+        for base in reversed(self._bases):
+            gap = base.epoch.time - time
+            if gap < -self.options.tolerance_s:
+                break
+            if abs(gap) <= best_gap and base.order <= cut:
+                best, best_gap = base.epoch, abs(gap)
+        return best
+
+    def _newest_before(self, time: GpsTime, cut: float) -> Epoch | None:
+        limit = time + self.options.tolerance_s
+        return next((base.epoch for base in reversed(self._bases) if base.epoch.time <= limit and base.order <= cut), None)
+
+    def _first_newer(self, time: GpsTime) -> _Base | None:
+        """Return the base epoch beyond ``time`` that arrived first."""
+        limit = time + self.options.tolerance_s
+        newer = [base for base in self._bases if base.epoch.time > limit]
+        return min(newer, key=lambda base: base.arrived_s, default=None)
+
+    def _learn_reordering(self, base: _Base) -> None:
+        """A base epoch was overtaken: wait for such from now on, half as long again as this one was late."""
+        overtaker = self._bases[bisect_left(self._bases, base)]
+        late_s = base.arrived_s - overtaker.arrived_s
+        self.counters.base_reordered += 1
+        self._orderly = 0
+        self._reorder_wait_s = min(self.options.maximum_wait_s, max(self._reorder_wait_s, _FIRST_REORDER_WAIT_S, 1.5 * late_s))
+
+    def _count(self, waiting: _Waiting, base: Epoch | None) -> None:
+        if base is not None and abs(base.time - waiting.epoch.time) <= self.options.tolerance_s:
+            self.counters.paired += 1
+        else:
+            self.counters.unmatched += 1
+
+    def _forget(self, time: GpsTime) -> None:
+        """Drop base epochs that no later rover epoch can use, but keep the newest of them and what the cadence needs."""
+        old = sum(1 for base in self._bases if base.epoch.time <= time)
+        surplus = min(old - 1, len(self._bases) - _CADENCE_GAPS - 1)
+        if surplus > 0:
+            del self._bases[:surplus]

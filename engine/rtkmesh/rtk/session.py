@@ -1,0 +1,175 @@
+"""One solver instance as a pure object: messages of its receivers in, solutions out.
+
+The services and the offline solver run this same object, which is why their solutions are equal to the last bit. An
+ephemeris or a base position counts only for epochs that follow it: in its own stream for the rover's, in GNSS time for those of
+another stream. So the order of arrival between streams changes nothing.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix, ReferenceStation
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.rtk.engine import Rtk
+from rtkmesh.rtk.options import Mode, RtkOptions
+from rtkmesh.rtk.pairing import Pair, Pairing, PairingOptions
+from rtkmesh.rtk.solution import Solution
+
+
+class Source(StrEnum):
+    """What a stream is to the solver."""
+
+    ROVER = "rover"
+    BASE = "base"
+    NAVIGATION = "navigation"
+
+
+@dataclass(frozen=True, slots=True)
+class EndOfStream:
+    """A stream has ended (replays only)."""
+
+
+Navigation = KeplerEphemeris | GlonassEphemeris | KlobucharParameters | ReferenceStation | GlonassBias
+Input = Epoch | Navigation | ReceiverFix | EndOfStream
+
+
+@dataclass(frozen=True, slots=True)
+class SessionOptions:
+    """What is around the engine.
+
+    ``base_position_ecef_m``: known position of the base antenna, instead of what its stream says; ``navigation_streams``: in replay,
+    solving starts only when so many navigation streams have ended.
+    """
+
+    rtk: RtkOptions = field(default_factory=RtkOptions)
+    pairing: PairingOptions = field(default_factory=PairingOptions)
+    base_position_ecef_m: tuple[float, float, float] | None = None
+    navigation_streams: int = 0
+
+
+def pairing_for(options: RtkOptions, *, replay: bool, maximum_wait_s: float = 1.0, matched_only: bool = False) -> PairingOptions:
+    """Return the pairing that suits a mode: none for single, equal epochs only for a moving base."""
+    return PairingOptions(
+        tolerance_s=options.time_tolerance_s,
+        maximum_wait_s=maximum_wait_s,
+        matched_only=matched_only or options.mode is Mode.MOVING_BASE,
+        silent_s=options.max_age_s,
+        has_base=options.mode is not Mode.SINGLE,
+        replay=replay,
+    )
+
+
+@dataclass(slots=True)
+class Session:
+    """Pairing, navigation data and engine of one solver instance. Mutable."""
+
+    options: SessionOptions
+    table: EphemerisTable = field(default_factory=EphemerisTable)
+    pairing: Pairing = field(init=False)
+    engine: Rtk = field(init=False)
+    klobuchar: KlobucharParameters | None = None
+    station: ReferenceStation | None = None
+    glonass_bias: GlonassBias | None = None
+    _rover_pending: deque[tuple[int, Navigation]] = field(default_factory=deque[tuple[int, Navigation]])
+    _other_pending: deque[tuple[GpsTime | None, Source, Navigation]] = field(
+        default_factory=deque[tuple[GpsTime | None, Source, Navigation]]
+    )
+    _base_time: GpsTime | None = None
+    _ended_navigation: int = 0
+    rover_ended: bool = False
+
+    def __post_init__(self) -> None:
+        self.pairing = Pairing(self.options.pairing)
+        self.engine = Rtk(self.options.rtk)
+
+    def feed(self, source: Source, message: Input, now_s: float = 0.0) -> None:
+        """Take one message of a stream, in that stream's order; ``now_s`` is the deadline clock (s), unused in replay."""
+        if isinstance(message, EndOfStream):
+            self._end(source)
+        elif isinstance(message, Epoch):
+            self._epoch(source, message, now_s)
+        elif isinstance(message, Navigation):
+            self._navigation(source, message)
+
+    def solutions(self, now_s: float = 0.0) -> Iterator[Solution]:
+        """Yield the solutions of all rover epochs whose waiting is over, oldest first."""
+        while (pair := self.next_pair(now_s)) is not None:
+            yield self.solve(pair)
+
+    def next_pair(self, now_s: float) -> Pair | None:
+        """Return the next rover epoch to solve, or None."""
+        if self.options.pairing.replay and self._ended_navigation < self.options.navigation_streams:
+            return None
+        return self.pairing.next_pair(now_s)
+
+    def solve(self, pair: Pair) -> Solution:
+        """Return the solution of one pair, with all navigation data that precede it."""
+        self._apply(pair)
+        solution = self.engine.step(
+            pair.rover, pair.base, self.table, self.klobuchar, base_position_ecef_m=self._base_position(), glonass_bias=self.glonass_bias
+        )
+        return replace(solution, waited_s=pair.waited_s)
+
+    def deadline_s(self) -> float:
+        """Return the instant of the deadline clock at which ``solutions`` must be asked again; inf if none."""
+        return self.pairing.deadline_s()
+
+    def restart(self) -> None:
+        """Begin with a fresh filter; ephemerides and base position are kept, waiting epochs are not."""
+        self.pairing.clear()
+        self.engine = Rtk(self.options.rtk)
+
+    def _end(self, source: Source) -> None:
+        if source is Source.BASE:
+            self.pairing.end_base()
+        elif source is Source.NAVIGATION:
+            self._ended_navigation += 1
+        else:
+            self.rover_ended = True
+
+    def _epoch(self, source: Source, epoch: Epoch, now_s: float) -> None:
+        if source is Source.ROVER:
+            self.pairing.add_rover(epoch, now_s)
+        elif source is Source.BASE:
+            self.pairing.add_base(epoch, now_s)
+            self._base_time = epoch.time if self._base_time is None else max(self._base_time, epoch.time)
+
+    def _navigation(self, source: Source, message: Navigation) -> None:
+        if source is Source.ROVER:
+            self._rover_pending.append((self.pairing.rover_order, message))
+        else:
+            after = self._base_time if source is Source.BASE else None
+            self._other_pending.append((after, source, message))
+
+    def _apply(self, pair: Pair) -> None:
+        """Take over the navigation data that count for this pair: earlier in the rover's stream, earlier in time in others."""
+        while self._rover_pending and self._rover_pending[0][0] < pair.order:
+            self._take(Source.ROVER, self._rover_pending.popleft()[1])
+        limit = pair.rover.time + -self.options.pairing.tolerance_s
+        while self._other_pending and ((after := self._other_pending[0][0]) is None or after < limit):
+            _, source, message = self._other_pending.popleft()
+            self._take(source, message)
+
+    def _take(self, source: Source, message: Navigation) -> None:
+        if isinstance(message, KeplerEphemeris | GlonassEphemeris):
+            self.table.add(message)
+        elif isinstance(message, KlobucharParameters):
+            if self.klobuchar is None or message.system == "G" or self.klobuchar.system != "G":
+                self.klobuchar = message
+        elif source is Source.BASE:
+            if isinstance(message, ReferenceStation):
+                self.station = message
+            else:
+                self.glonass_bias = message
+
+    def _base_position(self) -> "np.ndarray[tuple[int], np.dtype[np.float64]] | None":
+        position = self.options.base_position_ecef_m
+        if position is None and self.station is not None:
+            position = self.station.position_ecef_m
+        return None if position is None else np.array(position)

@@ -1,0 +1,83 @@
+"""Commands to ``rtk/{id}/cmd`` and their replies."""
+
+from enum import StrEnum
+from typing import Any
+from urllib.parse import unquote_plus
+
+import msgspec
+
+from rtkmesh_schemas.errors import DecodeError
+from rtkmesh_schemas.wire import MAXIMUM_COMMAND_BYTES, Wire, decode, decode_json
+
+
+class Code(StrEnum):
+    """Why a command was answered as it was."""
+
+    OK = "ok"
+    ACCEPTED = "accepted"
+    UNKNOWN_OP = "unknown_op"
+    BAD_ARGUMENTS = "bad_arguments"
+    BAD_REQUEST = "bad_request"
+    WRONG_STATE = "wrong_state"
+    NOT_ALLOWED = "not_allowed"
+    NOT_FOUND = "not_found"
+    FAILED = "failed"
+    TOO_LARGE = "too_large"
+    # Said by the client, in place of an empty answer.
+    ABSENT = "absent"
+    HUNG = "hung"
+    REFUSED = "refused"
+    UNREACHABLE = "unreachable"
+
+
+class Request(Wire, frozen=True, kw_only=True):
+    """A command. A repeated ``request_id`` gets the first answer again. ``caller`` is who asks, for the log."""
+
+    op: str
+    args: dict[str, Any] = {}
+    request_id: str = ""
+    caller: str = ""
+
+
+class Reply(Wire, frozen=True, kw_only=True):
+    """The answer: ``message`` for people, ``code`` for programs, the process's ``state`` after it."""
+
+    ok: bool
+    code: Code
+    message: str = ""
+    state: str = ""
+    data: dict[str, Any] = {}
+    request_id: str = ""
+    id: str = ""
+
+
+def request_of(payload: bytes, encoding: str, parameters: str) -> Request:
+    """Return the request in a query: payload (msgpack or JSON, told apart by content) or selector parameters ``op=stop&...``.
+
+    DecodeError says what is wrong: too large, neither form, or no ``op``.
+    """
+    if len(payload) > MAXIMUM_COMMAND_BYTES or len(parameters) > MAXIMUM_COMMAND_BYTES:
+        raise DecodeError(f"a command may have at most {MAXIMUM_COMMAND_BYTES} bytes")
+    if not payload:
+        return _from_parameters(parameters)
+    if encoding.startswith("application/json") or payload.lstrip()[:1] == b"{":
+        return decode_json(Request, payload)
+    if payload[:1].isalpha() and payload.replace(b"_", b"").replace(b"-", b"").isalnum():
+        return Request(op=payload.decode())  # a bare word, as a person types it
+    return decode(Request, payload)
+
+
+def _from_parameters(parameters: str) -> Request:
+    pairs = [part.partition("=") for part in parameters.replace("&", ";").split(";") if part]
+    values = {unquote_plus(name): unquote_plus(value) for name, _, value in pairs}
+    op = values.pop("op", "")
+    if not op:
+        raise DecodeError("no op: send {op, args} as JSON or msgpack, or ?op=status")
+    request_id, caller = values.pop("request_id", ""), values.pop("caller", "")
+    return Request(op=op, args=dict(values), request_id=request_id, caller=caller)
+
+
+def plain(value: Wire) -> dict[str, Any]:
+    """Return a struct as a plain dict for ``Reply.data``."""
+    result: dict[str, Any] = msgspec.to_builtins(value)
+    return result

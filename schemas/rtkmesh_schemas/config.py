@@ -1,0 +1,195 @@
+"""The deployment file: one TOML, one table per process. Angles in degrees: this is the human edge.
+
+Unknown fields are errors; every number has bounds. Loading with line numbers and nearest names is the shell's
+(``rtkmesh_services.runtime.configuration``).
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+Positive = Annotated[float, Meta(gt=0.0, lt=1e9)]
+NotNegative = Annotated[float, Meta(ge=0.0, lt=1e9)]
+Degrees90 = Annotated[float, Meta(ge=0.0, le=90.0)]
+EcefVector = tuple[
+    Annotated[float, Meta(ge=-1e7, le=1e7)], Annotated[float, Meta(ge=-1e7, le=1e7)], Annotated[float, Meta(ge=-1e7, le=1e7)]
+]
+GeodeticVector = tuple[
+    Annotated[float, Meta(ge=-90.0, le=90.0)], Annotated[float, Meta(ge=-360.0, le=360.0)], Annotated[float, Meta(ge=-12000.0, le=100000.0)]
+]
+ModeName = Literal["single", "dgps", "static", "static-start", "kinematic", "moving-base", "fixed"]
+LogLevel = Literal["debug", "info", "warning", "error"]
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Root of the tables of a deployment file."""
+
+
+class DeploymentTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[deployment]``: names and network of this host. ``namespace`` is the site or vehicle prefix of all keys."""
+
+    name: str = "rtkmesh"
+    namespace: str = ""
+    connect: tuple[str, ...] = ()
+    log_level: LogLevel = "info"
+    config_folder: str = ""
+
+
+class HubTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[hub]``: the Zenoh router of this host. Loopback only unless ``insecure`` is said (user and TLS come with the security profile)."""
+
+    enabled: bool = True
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:7547",)
+    connect: tuple[str, ...] = ()
+    insecure: bool = False
+
+
+class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, file:, sim:.
+
+    ``position_ecef_m`` or ``position_llh_deg`` (lat, lon, ellipsoidal height) is the antenna's known position and replaces what the
+    stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``navigation`` marks a source of ephemerides only.
+    """
+
+    source: str
+    position_ecef_m: EcefVector | None = None
+    position_llh_deg: GeodeticVector | None = None
+    date: str = ""
+    observations: Literal["auto", "ubx", "rtcm3"] = "auto"
+    navigation: bool = False
+    raw: bool = True
+
+
+class NoiseTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[solver.ID.noise]``: one sigma; see the engine's NoiseOptions."""
+
+    phase_a_m: Positive | None = None
+    phase_b_m: NotNegative | None = None
+    code_ratio: Positive | None = None
+    doppler_mps: Positive | None = None
+
+
+class DynamicsTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[solver.ID.dynamics]``: process noise."""
+
+    acceleration_horizontal_mps2: Positive | None = None
+    acceleration_vertical_mps2: Positive | None = None
+    ambiguity_cyc: NotNegative | None = None
+
+
+class AmbiguityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[solver.ID.ambiguity]``: integer resolution."""
+
+    mode: Literal["off", "instantaneous", "continuous", "fix-and-hold"] | None = None
+    ratio: Annotated[float, Meta(ge=1.0, le=1000.0)] | None = None
+    elevation_mask_deg: Degrees90 | None = None
+    minimum_lock_epochs: Annotated[int, Meta(ge=0, le=10000)] | None = None
+    minimum_ambiguities: Annotated[int, Meta(ge=3, le=64)] | None = None
+    hold_after_epochs: Annotated[int, Meta(ge=1, le=100000)] | None = None
+
+
+class SyncTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[solver.ID.sync]``: pairing. ``max_wait_s``: how long a rover epoch waits for its base epoch; ``matched_only``: pos2-syncsol."""
+
+    max_wait_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0
+    matched_only: bool = False
+    tolerance_s: Annotated[float, Meta(gt=0.0, le=0.5)] = 0.025
+
+
+class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[solver.ID]``: one solver instance. ``rover``, ``base`` and ``navigation`` are ids of ingests."""
+
+    rover: str
+    base: str = ""
+    navigation: tuple[str, ...] = ()
+    mode: ModeName = "kinematic"
+    systems: Annotated[str, Meta(pattern="^[GRECJSI]+$")] = "GREJC"
+    frequencies: Annotated[int, Meta(ge=1, le=5)] = 2
+    elevation_mask_deg: Degrees90 = 15.0
+    cn0_mask_dbhz: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
+    max_age_s: Annotated[float, Meta(gt=0.0, le=3600.0)] = 30.0
+    baseline_length_m: Positive | None = None
+    baseline_sigma_m: Positive = 0.01
+    fixed_position_ecef_m: EcefVector | None = None
+    excluded: tuple[str, ...] = ()
+    autostart: bool = True
+    sync: SyncTable = SyncTable()
+    noise: NoiseTable = NoiseTable()
+    dynamics: DynamicsTable = DynamicsTable()
+    ambiguity: AmbiguityTable = AmbiguityTable()
+
+
+class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID]``: heading and pitch of a baseline, from a moving-base solver.
+
+    ``mounting_deg``: azimuth of the baseline (base to rover antenna) in the vehicle frame, clockwise from the nose; 0: the rover antenna
+    is ahead of the base antenna. ``length_m``: known antenna distance; a fix further off than ``length_tolerance_m`` fails integrity.
+    """
+
+    solver: str
+    mounting_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    mounting_pitch_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 0.0
+    length_m: Positive | None = None
+    length_tolerance_m: Positive = 0.05
+    accept_float: bool = False
+
+
+class OutputTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[output.ID]``: one output stream of a solver: ``target`` is a URL (file:, tcp-listen:, tcp:, udp:)."""
+
+    solver: str
+    target: str
+    format: Literal["llh", "xyz", "enu", "json"] = "llh"
+    time_form: Literal["calendar", "tow"] = "calendar"
+
+
+class RecorderTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[recorder.ID]``: raw logs of receivers with receive times, append-only, one new file per start."""
+
+    folder: str
+    receivers: tuple[str, ...] = ()
+
+
+class Ros2Table(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[ros2.ID]``: the bridge. Empty lists: everything there is."""
+
+    solvers: tuple[str, ...] = ()
+    attitudes: tuple[str, ...] = ()
+    frame_id: str = "gnss_antenna"
+    map_frame_id: str = "map"
+    base_frame_id: str = "base_link"
+    python: str = ""
+
+
+class MonitorTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[monitor.ID]``: the fleet's health as one status: stale streams, dead processes."""
+
+    period_s: Annotated[float, Meta(gt=0.05, le=60.0)] = 1.0
+
+
+class ControlTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[control]``: supervision of this host's processes."""
+
+    enabled: bool = True
+    heartbeat_timeout_s: Annotated[float, Meta(ge=1.0, le=600.0)] = 5.0
+    term_grace_s: Annotated[float, Meta(ge=0.1, le=60.0)] = 2.0
+    backoff_first_s: Annotated[float, Meta(ge=0.01, le=60.0)] = 0.2
+    backoff_last_s: Annotated[float, Meta(ge=0.1, le=600.0)] = 5.0
+    crash_limit: Annotated[int, Meta(ge=1, le=1000)] = 5
+    crash_window_s: Annotated[float, Meta(ge=1.0, le=86400.0)] = 60.0
+
+
+class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The whole file."""
+
+    deployment: DeploymentTable = DeploymentTable()
+    hub: HubTable = HubTable()
+    control: ControlTable = ControlTable()
+    ingest: dict[str, IngestTable] = {}
+    solver: dict[str, SolverTable] = {}
+    attitude: dict[str, AttitudeTable] = {}
+    output: dict[str, OutputTable] = {}
+    recorder: dict[str, RecorderTable] = {}
+    ros2: dict[str, Ros2Table] = {}
+    monitor: dict[str, MonitorTable] = {}

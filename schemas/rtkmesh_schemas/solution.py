@@ -1,0 +1,83 @@
+"""What a solver publishes."""
+
+from rtkmesh_schemas.wire import Wire
+
+Vector = tuple[float, float, float]
+Matrix = tuple[float, ...]  # 9 numbers, row-major 3x3
+
+
+class SolutionMessage(Wire, frozen=True, kw_only=True):
+    """One epoch's solution. NaN is 'not known'. Covariances are full 3x3, row-major.
+
+    ``status``: 0 none, 1 fix, 2 float, 4 dgps, 5 single (RTKLIB's Q); ``status_name`` the same in words; ``reason`` says why
+    not better. ``age_s``: rover minus base epoch; ``waited_s``: from the epoch's arrival to its solving; ``solve_ms``: compute.
+    ``baseline`` is rover minus base. Heights are ellipsoidal. ``received_mono_ns``/``published_mono_ns``: this host's clock.
+    """
+
+    source: str
+    start_id: str
+    sequence: int
+    week: int
+    tow_s: float
+    status: int
+    status_name: str
+    reason: str
+    lat_deg: float
+    lon_deg: float
+    height_m: float
+    position_ecef_m: Vector
+    position_cov_ecef_m2: Matrix
+    position_cov_enu_m2: Matrix
+    velocity_ecef_mps: Vector
+    velocity_cov_ecef_m2ps2: Matrix
+    velocity_enu_mps: Vector
+    velocity_cov_enu_m2ps2: Matrix
+    base_ecef_m: Vector
+    baseline_ecef_m: Vector
+    baseline_enu_m: Vector
+    baseline_cov_enu_m2: Matrix
+    age_s: float
+    ratio: float
+    ratio_threshold: float
+    success_rate: float
+    grade: int
+    ambiguities: int
+    ambiguities_fixed: int
+    satellites_used: int
+    satellites_rover: int
+    satellites_base: int
+    code_rms_m: float
+    phase_rms_m: float
+    nis_per_observation: float
+    receiver_clock_s: float
+    resets: int
+    mode: str = ""
+    rover: str = ""
+    base: str = ""
+    acceleration_ecef_mps2: Vector = (float("nan"), float("nan"), float("nan"))
+    waited_s: float = 0.0
+    solve_ms: float = 0.0
+    received_mono_ns: int = 0
+    published_mono_ns: int = 0
+
+
+class SatellitesMessage(Wire, frozen=True, kw_only=True):
+    """Per satellite and signal of the newest epoch.
+
+    ``state`` bits: 1 code used, 2 phase used, 4 fixed, 8 slipped, 16 rejected, 32 half cycle.
+    """
+
+    source: str
+    week: int
+    tow_s: float
+    satellite: list[str]
+    signal: list[str]
+    state: list[int]
+    azimuth_deg: list[float]
+    elevation_deg: list[float]
+    cn0_dbhz: list[float]
+    code_residual_m: list[float]
+    phase_residual_m: list[float]
+    ambiguity_cyc: list[float]
+    lock_s: list[float]
+    slips: list[int]

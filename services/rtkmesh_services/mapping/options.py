@@ -1,0 +1,64 @@
+"""A solver's table of the deployment file to the engine's options: degrees to radians, absent to default."""
+
+from dataclasses import replace
+from math import radians
+from typing import Any
+
+import msgspec
+
+from rtkmesh.gnss.frames import ecef_from_geodetic
+from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
+from rtkmesh.rtk.session import SessionOptions, pairing_for
+from rtkmesh_schemas.config import IngestTable, SolverTable
+
+
+def rtk_options(table: SolverTable) -> RtkOptions:
+    """Return the engine's options of a solver table."""
+    defaults = RtkOptions()
+    ambiguity = _given(table.ambiguity)
+    if "mode" in ambiguity:
+        ambiguity["mode"] = AmbiguityMode(ambiguity["mode"])
+    if "elevation_mask_deg" in ambiguity:
+        ambiguity["elevation_mask_rad"] = radians(ambiguity.pop("elevation_mask_deg"))
+    return RtkOptions(
+        mode=Mode(table.mode),
+        systems=table.systems,
+        frequencies=table.frequencies,
+        elevation_mask_rad=radians(table.elevation_mask_deg),
+        cn0_mask_dbhz=table.cn0_mask_dbhz,
+        max_age_s=table.max_age_s,
+        time_tolerance_s=table.sync.tolerance_s,
+        baseline_length_m=table.baseline_length_m,
+        baseline_sigma_m=table.baseline_sigma_m,
+        fixed_position_ecef_m=table.fixed_position_ecef_m,
+        excluded=table.excluded,
+        noise=replace(defaults.noise, **_given(table.noise)),
+        dynamics=replace(defaults.dynamics, **_given(table.dynamics)),
+        ambiguity=replace(defaults.ambiguity, **ambiguity),
+    )
+
+
+def session_options(table: SolverTable, *, replay: bool, base_position_ecef_m: tuple[float, float, float] | None = None) -> SessionOptions:
+    """Return the session's options; ``replay`` when every source is a recording."""
+    options = rtk_options(table)
+    return SessionOptions(
+        rtk=options,
+        pairing=pairing_for(options, replay=replay, maximum_wait_s=table.sync.max_wait_s, matched_only=table.sync.matched_only),
+        base_position_ecef_m=base_position_ecef_m,
+        navigation_streams=len(table.navigation),
+    )
+
+
+def known_position(table: IngestTable) -> tuple[float, float, float] | None:
+    """Return the configured ECEF position (m) of a receiver's antenna, or None."""
+    if table.position_ecef_m is not None:
+        return table.position_ecef_m
+    if table.position_llh_deg is None:
+        return None
+    lat_deg, lon_deg, height_m = table.position_llh_deg
+    x, y, z = ecef_from_geodetic(radians(lat_deg), radians(lon_deg), height_m).tolist()
+    return x, y, z
+
+
+def _given(table: msgspec.Struct) -> dict[str, Any]:
+    return {name: value for name, value in msgspec.structs.asdict(table).items() if value is not None}

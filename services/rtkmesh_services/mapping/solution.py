@@ -1,0 +1,94 @@
+"""Engine solutions to the wire, and back for formats that need the engine's form."""
+
+from math import degrees, nan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh.gnss.signals import satellite_id, signal_code
+from rtkmesh.rtk.solution import Solution
+from rtkmesh_schemas.solution import Matrix, SatellitesMessage, SolutionMessage, Vector
+
+Array = NDArray[np.float64]
+
+
+def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
+    """Return a solution as the wire's struct; ``identity`` gives source, start_id, sequence, mode, rover, base and clocks."""
+    known = bool(np.isfinite(solution.position_ecef_m).all())
+    lat_rad, lon_rad, height_m = geodetic_from_ecef(solution.position_ecef_m) if known else (nan, nan, nan)
+    rotation: Array = enu_from_ecef(float(lat_rad), float(lon_rad)) if known else np.full((3, 3), nan)
+    return SolutionMessage(
+        week=solution.time.week,
+        tow_s=solution.time.tow_s,
+        status=int(solution.status),
+        status_name=solution.status.name,
+        reason=solution.reason.name.lower(),
+        lat_deg=degrees(lat_rad),
+        lon_deg=degrees(lon_rad),
+        height_m=float(height_m),
+        position_ecef_m=_vector(solution.position_ecef_m),
+        position_cov_ecef_m2=_matrix(solution.position_cov_ecef_m2),
+        position_cov_enu_m2=_turned(solution.position_cov_ecef_m2, rotation),
+        velocity_ecef_mps=_vector(solution.velocity_ecef_mps),
+        velocity_cov_ecef_m2ps2=_matrix(solution.velocity_cov_ecef_m2ps2),
+        velocity_enu_mps=_vector(rotation @ solution.velocity_ecef_mps),
+        velocity_cov_enu_m2ps2=_turned(solution.velocity_cov_ecef_m2ps2, rotation),
+        base_ecef_m=_vector(solution.base_ecef_m),
+        baseline_ecef_m=_vector(solution.baseline_ecef_m),
+        baseline_enu_m=_vector(rotation @ solution.baseline_ecef_m),
+        baseline_cov_enu_m2=_turned(solution.baseline_cov_ecef_m2, rotation),
+        acceleration_ecef_mps2=_vector(solution.acceleration_ecef_mps2),
+        age_s=solution.age_s,
+        ratio=solution.ratio,
+        ratio_threshold=solution.ratio_threshold,
+        success_rate=solution.success_rate,
+        grade=solution.grade,
+        ambiguities=solution.ambiguities,
+        ambiguities_fixed=solution.ambiguities_fixed,
+        satellites_used=solution.satellites_used,
+        satellites_rover=solution.satellites_rover,
+        satellites_base=solution.satellites_base,
+        code_rms_m=solution.code_rms_m,
+        phase_rms_m=solution.phase_rms_m,
+        nis_per_observation=solution.nis_per_observation,
+        receiver_clock_s=solution.receiver_clock_s,
+        resets=solution.resets,
+        waited_s=solution.waited_s,
+        **identity,
+    )
+
+
+def satellites_message(solution: Solution, source: str) -> SatellitesMessage:
+    """Return the satellite table of a solution as the wire's struct."""
+    table = solution.satellites
+    return SatellitesMessage(
+        source=source,
+        week=solution.time.week,
+        tow_s=solution.time.tow_s,
+        satellite=[satellite_id(number) for number in table.satellite.tolist()],
+        signal=[signal_code(number) for number in table.signal.tolist()],
+        state=table.state.tolist(),
+        azimuth_deg=np.degrees(table.azimuth_rad).tolist(),
+        elevation_deg=np.degrees(table.elevation_rad).tolist(),
+        cn0_dbhz=table.cn0_dbhz.tolist(),
+        code_residual_m=table.code_residual_m.tolist(),
+        phase_residual_m=table.phase_residual_m.tolist(),
+        ambiguity_cyc=table.ambiguity_cyc.tolist(),
+        lock_s=table.lock_s.tolist(),
+        slips=table.slips.tolist(),
+    )
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _matrix(values: Array) -> Matrix:
+    return tuple(values.ravel().tolist())
+
+
+def _turned(cov: Array, rotation: Array) -> Matrix:
+    return _matrix(rotation @ cov @ rotation.T)
