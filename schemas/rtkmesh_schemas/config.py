@@ -60,6 +60,11 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     navigation: bool = False
     raw: bool = True
 
+    @property
+    def replay(self) -> bool:
+        """Whether the source is a recording: deadlines run on the log's clock, consumers pace it."""
+        return self.source.startswith("file://")
+
 
 class NoiseTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[solver.ID.noise]``: one sigma; see the engine's NoiseOptions."""

@@ -142,9 +142,13 @@ class EndOfStream(Wire, frozen=True, kw_only=True):
 
 
 class Credit(Wire, frozen=True, kw_only=True):
-    """A consumer has taken everything of this ingest up to ``sequence`` (-1: ready for the first message)."""
+    """A consumer has taken everything of this ingest up to ``sequence`` (-1: ready for the first message).
+
+    ``wanted``: the consumer needs the stream up to this time, however much it has not yet taken.
+    """
 
     consumer: str
     consumer_start_id: str
     sequence: int
     ingest_start_id: str = ""
+    wanted: Time | None = None

@@ -177,6 +177,10 @@ class Pairing:
         newer = self._first_newer(waiting.epoch.time)
         return due if newer is None else min(due, max(newer.arrived_s, waiting.arrived_s) + self._reorder_wait_s)
 
+    def waiting_for(self) -> GpsTime | None:
+        """Return the time of the oldest rover epoch that waits, or None."""
+        return self._rovers[0].epoch.time if self._rovers else None
+
     def clear(self) -> None:
         """Forget all epochs (not what was learned of the streams)."""
         self._rovers.clear()

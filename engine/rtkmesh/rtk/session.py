@@ -120,10 +120,12 @@ class Session:
         """Return the instant of the deadline clock at which ``solutions`` must be asked again; inf if none."""
         return self.pairing.deadline_s()
 
-    def restart(self) -> None:
-        """Begin with a fresh filter; ephemerides and base position are kept, waiting epochs are not."""
-        self.pairing.clear()
+    def restart(self, options: SessionOptions | None = None) -> None:
+        """Begin with a fresh filter, with new options if given; navigation data are kept, waiting epochs are not."""
+        self.options = options or self.options
+        self.pairing = Pairing(self.options.pairing)
         self.engine = Rtk(self.options.rtk)
+        self._rover_pending = deque((0, message) for _, message in self._rover_pending)
 
     def _end(self, source: Source) -> None:
         if source is Source.BASE:

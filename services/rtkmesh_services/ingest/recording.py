@@ -1,0 +1,247 @@
+"""Recordings on disk as streams of engine messages: RINEX, Hatanaka, UBX, RTCM 3 and mixed raw logs, each also compressed.
+
+The kind is found from the content, never from the name. Raw logs are read in pieces of any size, RINEX files at once.
+"""
+
+import gzip
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import BinaryIO, Final, cast
+
+from rtkmesh.codecs.framing import Framer
+from rtkmesh.codecs.messages import DecodingCounters, FramingCounters, Message, Protocol
+from rtkmesh.codecs.rinex_navigation import read_navigation
+from rtkmesh.codecs.rinex_observation import ObservationReader
+from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
+from rtkmesh.errors import FormatError
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh_services.errors import SourceError
+
+_GZIP: Final = b"\x1f\x8b"
+_COMPRESSED: Final = (b"\x1f\x9d", b"BZh", b"PK\x03\x04")  # LZW (.Z), bzip2, zip
+_RINEX_LABEL: Final = b"RINEX VERSION / TYPE"
+_HATANAKA_LABEL: Final = b"CRINEX VERS   / TYPE"
+_LABEL_COLUMN: Final = 60
+_HEAD: Final = 1 << 18  # bytes that the kind of a raw log is found from
+_CHUNK: Final = 1 << 16
+
+
+class RecordingKind(StrEnum):
+    """What a recording holds."""
+
+    OBSERVATIONS = "rinex observations"
+    NAVIGATION = "rinex navigation"
+    UBX = "ubx"
+    RTCM3 = "rtcm3"
+    NMEA = "nmea"
+    MIXED = "mixed log"
+
+
+class Recording(ABC):
+    """One recording: ``messages`` yields its engine messages in stream order, once.
+
+    ``position`` of ``size`` bytes have been read (of the file as it is on disk where that can be told).
+    """
+
+    def __init__(self, path: Path, kind: RecordingKind, size: int) -> None:
+        self.path, self.kind, self.size = path, kind, size
+
+    @property
+    @abstractmethod
+    def position(self) -> int:
+        """Bytes read so far."""
+
+    @abstractmethod
+    def messages(self) -> Iterator[Message]:
+        """Yield the engine messages in stream order."""
+
+    @property
+    @abstractmethod
+    def decoding(self) -> DecodingCounters:
+        """What was decoded, ignored and rejected so far."""
+
+
+class RawRecording(Recording):
+    """A log of a receiver's bytes."""
+
+    def __init__(self, path: Path, kind: RecordingKind, opened: "_Opened", options: StreamOptions) -> None:
+        super().__init__(path, kind, path.stat().st_size)
+        self._opened = opened
+        self._decoder = StreamDecoder(options)
+
+    @property
+    def position(self) -> int:
+        """Bytes of the file on disk that have been read."""
+        return self._opened.file.tell() if not self._opened.file.closed else self.size
+
+    @property
+    def decoding(self) -> DecodingCounters:
+        """What was decoded, ignored and rejected so far."""
+        return self._decoder.decoding
+
+    @property
+    def framing(self) -> FramingCounters:
+        """Frames, failed checksums and skipped bytes so far."""
+        return self._decoder.framing
+
+    def chunks(self, size: int = _CHUNK) -> Iterator[bytes]:
+        """Yield the bytes of the log from its beginning, ``size`` at a time; SourceError where its compression is damaged."""
+        with self._opened.file:
+            try:
+                while data := self._opened.stream.read(size):
+                    yield data
+            except (OSError, EOFError) as error:
+                raise SourceError(f"{self.path}: {error}") from error
+
+    def messages(self) -> Iterator[Message]:
+        """Yield the engine messages in stream order."""
+        for chunk in self.chunks():
+            for _, messages in self._decoder.feed(chunk):
+                yield from messages
+        yield from self._decoder.flush()
+
+
+class ObservationRecording(Recording):
+    """A RINEX observation file: its station first, then its epochs."""
+
+    def __init__(self, path: Path, text: bytes) -> None:
+        super().__init__(path, RecordingKind.OBSERVATIONS, len(text))
+        self._reader = ObservationReader(text)
+
+    @property
+    def position(self) -> int:
+        """Bytes of the uncompressed text that have been read."""
+        return self._reader.position
+
+    @property
+    def decoding(self) -> DecodingCounters:
+        """What was decoded, ignored and rejected so far."""
+        return self._reader.counters
+
+    def messages(self) -> Iterator[Message]:
+        """Yield the station, then the epochs."""
+        yield self._reader.header.station()
+        yield from self._reader
+
+
+class NavigationRecording(Recording):
+    """A RINEX navigation file: ionosphere first, then the ephemerides."""
+
+    def __init__(self, path: Path, text: bytes) -> None:
+        super().__init__(path, RecordingKind.NAVIGATION, len(text))
+        self._file = read_navigation(text)
+        self._read = 0
+
+    @property
+    def position(self) -> int:
+        """All, as soon as messages were asked for."""
+        return self._read
+
+    @property
+    def decoding(self) -> DecodingCounters:
+        """What was decoded, ignored and rejected."""
+        return self._file.counters
+
+    def messages(self) -> Iterator[Message]:
+        """Yield ionosphere parameters, then ephemerides in the order of the file."""
+        self._read = self.size
+        yield from self._file.klobuchar
+        yield from self._file.ephemerides
+
+
+class _Opened:
+    """A file and the stream of its uncompressed bytes; ``file`` is the one on disk."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self.file = path.open("rb")
+        except IsADirectoryError as error:
+            raise SourceError(f"{path} is a folder, not a recording") from error
+        except FileNotFoundError as error:
+            raise SourceError(f"{path} does not exist") from error
+        except OSError as error:
+            raise SourceError(f"{path}: {error.strerror}") from error
+        magic = self.file.read(2)
+        self.file.seek(0)
+        self.stream: BinaryIO = cast("BinaryIO", gzip.GzipFile(fileobj=self.file)) if magic == _GZIP else self.file
+
+    def head(self, size: int) -> bytes:
+        """Return the first uncompressed bytes and rewind."""
+        data = self.stream.read(size)
+        self.stream.seek(0)
+        return data
+
+
+def open_recording(path: Path, date: GpsTime | None = None, *, options: StreamOptions | None = None) -> Recording:
+    """Return the recording at ``path``, opened for reading.
+
+    ``date`` (within three days of its beginning) settles the week of RTCM 3 logs, which carry none. SourceError if the file
+    is missing, empty, damaged, or of no known kind.
+    """
+    opened = _Opened(path)
+    try:
+        head = opened.head(_HEAD)
+        if not head:
+            raise SourceError(f"{path} is empty")
+        if head.startswith(_COMPRESSED) or _label(head) in (_RINEX_LABEL, _HATANAKA_LABEL):
+            return _text_recording(path, opened)
+        kind = _kind_of_log(head)
+        if kind is None:
+            raise SourceError(
+                f"{path} is no recording of a known kind: no RINEX header, no UBX, RTCM 3 or NMEA frame in its first {len(head)} bytes"
+            )
+    except (OSError, EOFError) as error:  # damaged compression
+        opened.file.close()
+        raise SourceError(f"{path}: {error}") from error
+    except BaseException:
+        opened.file.close()
+        raise
+    return RawRecording(path, kind, opened, options or StreamOptions(approximate_time=date))
+
+
+def _label(head: bytes) -> bytes:
+    return head[_LABEL_COLUMN : _LABEL_COLUMN + 20]
+
+
+def _text_recording(path: Path, opened: _Opened) -> Recording:
+    """Return the recording of a RINEX file, of Hatanaka text, or of either in LZW, bzip2 or zip."""
+    with opened.file:
+        text = opened.stream.read()
+    if _label(text) != _RINEX_LABEL:
+        text = _decompressed(path, text)
+    try:
+        if text[20:21] == b"O":
+            return ObservationRecording(path, text)
+        return NavigationRecording(path, text)
+    except FormatError as error:
+        raise SourceError(f"{path}: {error}") from error
+
+
+def _decompressed(path: Path, content: bytes) -> bytes:
+    import hatanaka  # noqa: PLC0415  0.15 s that plain recordings need not pay
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a log cut short is read as far as it goes
+            text = hatanaka.decompress(content, skip_strange_epochs=True)
+    except (hatanaka.HatanakaException, ValueError, OSError, EOFError) as error:
+        raise SourceError(f"{path}: {str(error).strip() or 'cannot be uncompressed'}") from error
+    if _label(text) != _RINEX_LABEL:
+        raise SourceError(f"{path} holds no RINEX file")
+    return text
+
+
+def _kind_of_log(head: bytes) -> RecordingKind | None:
+    """Return the kind of a raw log from the whole frames in its head, None if there are none."""
+    framer = Framer()
+    protocols = {frame.protocol for frame in (*framer.feed(head), *framer.flush())} - {Protocol.NMEA}
+    if protocols == {Protocol.UBX}:
+        return RecordingKind.UBX
+    if protocols == {Protocol.RTCM3}:
+        return RecordingKind.RTCM3
+    if protocols:
+        return RecordingKind.MIXED
+    return RecordingKind.NMEA if any(key.startswith("nmea") for key in framer.counters.frames) else None

@@ -1,0 +1,146 @@
+"""Threads that play recordings and simulated receivers into the work loop, paced by a clock and by their consumers."""
+
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from rtkmesh.codecs.stream import StreamOptions
+
+from rtkmesh.codecs.messages import Message
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh_services.errors import SourceError
+from rtkmesh_services.ingest.credit import CreditGate
+from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
+from rtkmesh_services.ingest.recording import Recording, open_recording
+from rtkmesh_services.ingest.stream import is_numbered
+from rtkmesh_services.ingest.urls import SourceUrl
+from rtkmesh_services.runtime.clock import Clock
+
+Put = Callable[[Any], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A message of a recording on its way to the work loop."""
+
+    message: Message
+    mono_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The recording is at its end."""
+
+
+class Pace:
+    """Maps log time to the host's clock: ``speed`` times real time from ``start`` on, as fast as it goes before it or at speed 0."""
+
+    def __init__(self, clock: Clock, speed: float, start: GpsTime | None) -> None:
+        self._clock, self._speed, self._start = clock, speed, start
+        self._anchor_ns = 0
+
+    def wait(self, time: GpsTime, stopping: threading.Event) -> None:
+        """Wait until the instant of an epoch."""
+        if self._speed == 0.0 or (self._start is not None and time <= self._start):
+            return
+        if not self._anchor_ns:
+            self._start = self._start or time
+            self._anchor_ns = self._clock.mono_ns()
+        assert self._start is not None, "set with the anchor"
+        due_ns = self._anchor_ns + int((time - self._start) / self._speed * 1e9)
+        stopping.wait(max(0.0, (due_ns - self._clock.mono_ns()) * 1e-9))
+
+
+class Replay:
+    """Plays one recording: waits for the consumers, then sends its messages in stream order."""
+
+    def __init__(self, recording: Recording, pace: Pace, gate: CreditGate, clock: Clock, put: Put, first_sequence: int) -> None:
+        self._recording, self._pace, self._gate, self._clock, self._put = recording, pace, gate, clock, put
+        self._sequence = first_sequence
+
+    def run(self, stopping: threading.Event) -> None:
+        """Play it all; returns early when ``stopping`` is set."""
+        self._put(LinkReport(LinkState.WAITING, "for consumers: " + ", ".join(self._gate.missing()) if self._gate.missing() else ""))
+        if not self._gate.wait_ready(stopping):
+            return
+        self._put(LinkReport(LinkState.CONNECTED, str(self._recording.path)))
+        try:
+            for message in self._recording.messages():
+                if not self._send(message, stopping):
+                    return
+        except SourceError as error:
+            self._put(LinkReport(LinkState.ERROR, str(error)))
+        self._put(Ended())
+
+    def _send(self, message: Message, stopping: threading.Event) -> bool:
+        if isinstance(message, Epoch):
+            if not self._gate.wait(self._sequence, message.time, stopping):
+                return False
+            self._pace.wait(message.time, stopping)
+        if is_numbered(message):
+            self._sequence += 1
+        while not self._put(Played(message, self._clock.mono_ns())):
+            if stopping.is_set():
+                return False
+        return not stopping.is_set()
+
+
+def recording_of(url: SourceUrl, date: str, observations: str) -> Recording:
+    """Return the opened recording of a file URL; SourceError says what is wrong with it."""
+    options = StreamOptions(approximate_time=date_of(date), observations=observations)
+    return open_recording(Path(url.path), date_of(date), options=options)
+
+
+def date_of(text: str) -> GpsTime | None:
+    """Return the GPS time of a date YYYY-MM-DD (noon), None for an empty text; SourceError for anything else."""
+    if not text:
+        return None
+    try:
+        year, month, day = (int(part) for part in text.split("-"))
+        return GpsTime.from_calendar(year, month, day, 12)
+    except ValueError:
+        raise SourceError(f"date {text!r} is not YYYY-MM-DD") from None
+
+
+def common_start(recordings: Iterable[Recording]) -> GpsTime | None:
+    """Return the latest of the recordings' first epochs: from there on they are played in step. None without epochs."""
+    firsts = [first for recording in recordings if (first := _first_epoch(recording.messages())) is not None]
+    return max(firsts, default=None)
+
+
+def _first_epoch(messages: Iterator[Message]) -> GpsTime | None:
+    return next((message.time for message in messages if isinstance(message, Epoch)), None)
+
+
+class Simulation:
+    """A simulated receiver: sends the bytes of each epoch at its instant of the host's UTC clock."""
+
+    def __init__(self, url: SourceUrl, clock: Clock, sink: Callable[[Chunk | LinkReport], None]) -> None:
+        self._url, self._clock, self._sink = url, clock, sink
+
+    def run(self, stopping: threading.Event) -> None:
+        """Send until ``stopping`` is set."""
+        from rtkmesh.simulation.scenario import open_stream  # noqa: PLC0415  only simulated receivers need it
+
+        scenario, _, stream = self._url.path.partition("/")
+        rate_hz, seed = self._url.number("rate", 5.0), int(self._url.number("seed", 1.0))
+        now = gps_now(self._clock)
+        try:
+            simulated = open_stream(scenario, stream, seed=seed, rate_hz=rate_hz, start=now)
+        except (ValueError, KeyError) as error:
+            self._sink(LinkReport(LinkState.ERROR, f"{self._url.path}: {error}"))
+            return
+        self._sink(LinkReport(LinkState.CONNECTED, self._url.path))
+        for epoch in simulated.epochs():
+            if stopping.wait(max(0.0, epoch.time - gps_now(self._clock))):
+                return
+            self._sink(Chunk(epoch.data, self._clock.mono_ns()))
+
+
+def gps_now(clock: Clock) -> GpsTime:
+    """Return the host's UTC clock as GPS time."""
+    return GpsTime.from_utc(datetime.fromtimestamp(0, UTC) + timedelta(microseconds=clock.utc_ns() // 1000))

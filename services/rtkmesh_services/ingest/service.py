@@ -1,0 +1,242 @@
+"""The ingest role: one receiver's bytes in, checked frames, epochs, ephemerides and reference position out."""
+
+import threading
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
+
+from rtkmesh.codecs.messages import Message
+from rtkmesh.gnss.ephemeris import ReceiverFix
+from rtkmesh_schemas.command import Reply, Request
+from rtkmesh_schemas.config import IngestTable
+from rtkmesh_schemas.errors import DecodeError, VersionError
+from rtkmesh_schemas.keys import CREDIT, WRITE, Role
+from rtkmesh_schemas.observation import Credit
+from rtkmesh_schemas.status import InputStatus, Level, State
+from rtkmesh_schemas.wire import decode
+from rtkmesh_services.errors import SourceError
+from rtkmesh_services.ingest.credit import CreditGate
+from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
+from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, Simulation, common_start, date_of, gps_now, recording_of
+from rtkmesh_services.ingest.stream import StreamPublisher
+from rtkmesh_services.ingest.urls import SourceUrl, parse_source
+from rtkmesh_services.mapping.options import known_position
+from rtkmesh_services.runtime.bus import Liveliness, Sample
+from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done
+from rtkmesh_services.runtime.statistics import RollingQuantiles
+
+STALE_S = 5.0  # a live source that is silent for so long is STALE
+
+
+class IngestService(Service):
+    """One receiver. All decoding and publishing happens in the work loop; links and replays have threads of their own."""
+
+    role: ClassVar[Role] = Role.INGEST
+    operations: ClassVar[dict[str, str]] = {"restart": "close the source and open it again"}
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._table: IngestTable = context.deployment.ingest[context.id]
+        self._url: SourceUrl = parse_source(self._table.source)
+        self._decoder = StreamDecoder(self._options())
+        self._publisher = StreamPublisher(context, known_position(self._table), raw=self._table.raw)
+        self._gate = CreditGate(consumers_of(context))
+        self._decode_ms = RollingQuantiles()
+        self._link: Link | None = None
+        self._stop_source = threading.Event()
+        self._state, self._detail = LinkState.CONNECTING, ""
+        self._bytes = self._errors = self._writes = self._writes_lost = 0
+        self._heard_ns = context.clock.mono_ns()
+        self._fix: ReceiverFix | None = None
+
+    def warm(self) -> None:
+        """Compile the decoders."""
+        warm_decoder()
+
+    def open(self) -> None:
+        """Listen for credit and writes, publish the known position, start the source."""
+        self.context.subscribe(CREDIT.key(self.context.id), lane="credit")
+        self.context.subscribe(WRITE.key(self.context.id), lane="write")
+        self.context.bus.on_live(self._on_live)
+        self._publisher.open()
+        self._start_source()
+
+    def handle(self, item: Any) -> None:
+        """Take bytes, a replayed message, a change of the link, credit or a frame to write."""
+        if isinstance(item, Chunk):
+            self._decode(item)
+        elif isinstance(item, Played):
+            self._heard_ns = item.mono_ns
+            self._publish(item.message, item.mono_ns)
+        elif isinstance(item, LinkReport):
+            self._report_link(item)
+        elif isinstance(item, Ended):
+            self._end()
+        elif isinstance(item, Sample):
+            self._sample(item)
+
+    def command(self, request: Request) -> Reply:
+        """Restart the source."""
+        if self._table.replay:
+            return done("a replay goes on; restart the process to play it again")
+        self._stop()
+        self._start_source()
+        return accepted(f"{request.op}: opening {self._url.scheme} source again")
+
+    def report(self) -> Report:
+        """Tell the link, the bytes, the frames by kind and what was refused."""
+        age_s = (self.context.clock.mono_ns() - self._heard_ns) * 1e-9
+        state, reason = self._health(age_s)
+        framing, decoding = self._decoder.framing, self._decoder.decoding
+        newest = self._publisher.newest
+        link = InputStatus(
+            name=self._url.scheme,
+            state=self._state.value,
+            detail=self._detail,
+            messages=framing.frames.total(),
+            bytes=self._bytes,
+            age_s=age_s if self._bytes else None,
+            errors=framing.checksum_failures.total() + decoding.rejected.total(),
+            counters={**framing.frames, **{f"rejected {name}": count for name, count in decoding.rejected.items()}},
+        )
+        return Report(
+            state=state,
+            reason=reason,
+            inputs=[link],
+            counters={
+                **{f"published_{name}": count for name, count in self._publisher.published.items()},
+                "bytes": self._bytes,
+                "bytes_skipped": framing.bytes_skipped,
+                "link_errors": self._errors,
+                "writes": self._writes,
+                "writes_lost": self._writes_lost,
+            },
+            latencies={"decode": self._decode_ms},
+            last_epoch=None if newest is None else (newest.time.week, newest.time.tow_s),
+            data={"end": self._state is LinkState.ENDED, "satellites": 0 if newest is None else len(set(newest.satellite.tolist()))},
+        )
+
+    def close(self) -> None:
+        """Stop the source."""
+        self._stop()
+
+    def _options(self) -> StreamOptions:
+        near = date_of(self._table.date) or gps_now(self.context.clock)
+        return StreamOptions(approximate_time=near, observations=self._table.observations)
+
+    def _start_source(self) -> None:
+        self._stop_source = threading.Event()
+        if self._url.scheme == "file":
+            self._thread(self._play)
+        elif self._url.scheme == "sim":
+            self._thread(Simulation(self._url, self.context.clock, self._sink).run)
+        else:
+            self._link = Link(self._url, self._sink)
+            self._link.start()
+
+    def _stop(self) -> None:
+        self._stop_source.set()
+        if self._link is not None:
+            self._link.stop()
+
+    def _thread(self, run: Any) -> None:
+        threading.Thread(target=run, args=(self._stop_source,), daemon=True, name="source").start()
+
+    def _play(self, stopping: threading.Event) -> None:
+        """Play the recording of a file source (in its own thread)."""
+        try:
+            recording = recording_of(self._url, self._table.date, self._table.observations)
+            start = common_start(self._all_recordings()) if self._url.speed else None
+        except SourceError as error:
+            self._sink(LinkReport(LinkState.ERROR, str(error)))
+            return
+        pace = Pace(self.context.clock, self._url.speed, start)
+        Replay(recording, pace, self._gate, self.context.clock, self._put_wait, self._publisher.sequence).run(stopping)
+
+    def _all_recordings(self) -> Any:
+        """Yield every observation recording of this deployment: they are played in step."""
+        for table in self.context.deployment.ingest.values():
+            if table.replay and not table.navigation and Path(parse_source(table.source).path).is_file():
+                yield recording_of(parse_source(table.source), table.date, table.observations)
+
+    def _sink(self, item: Chunk | LinkReport) -> None:
+        self.context.inbox.put(item, lane="source")
+
+    def _put_wait(self, item: Any) -> bool:
+        return self.context.inbox.put_wait(item, lane="source", timeout_s=0.2)
+
+    def _on_live(self, change: Liveliness) -> None:
+        if not change.alive:
+            self._gate.gone(change.id)
+
+    def _decode(self, chunk: Chunk) -> None:
+        self._bytes += len(chunk.data)
+        self._heard_ns = chunk.mono_ns
+        begun = self.context.clock.mono_ns()
+        for frame, messages in self._decoder.feed(chunk.data):
+            self._publisher.frame(frame, chunk.mono_ns)
+            for message in messages:
+                self._publish(message, chunk.mono_ns)
+        now = self.context.clock.mono_ns()
+        self._decode_ms.add(now, (now - begun) * 1e-6)
+
+    def _publish(self, message: Message, mono_ns: int) -> None:
+        if isinstance(message, ReceiverFix):
+            self._fix = message
+        else:
+            self._publisher.message(message, mono_ns)
+
+    def _report_link(self, report: LinkReport) -> None:
+        if report.state is LinkState.ERROR:
+            self._errors += 1
+            if (self._state, self._detail) != (report.state, report.detail):
+                self.context.event(Level.WARNING, "source_error", f"{self._url.scheme} source: {report.detail}")
+        elif report.state is LinkState.CONNECTED:
+            self.context.event(Level.INFO, "source_connected", f"receiving from {report.detail}")
+        elif self._state is LinkState.ERROR and report.state is LinkState.CONNECTING:
+            return  # keep showing why the last attempt failed
+        self._state, self._detail = report.state, report.detail
+
+    def _end(self) -> None:
+        self._publisher.end()
+        self._state, self._detail = LinkState.ENDED, "the recording is at its end"
+        self.context.event(Level.INFO, "source_ended", self._detail)
+
+    def _sample(self, sample: Sample) -> None:
+        if sample.key == WRITE.key(self.context.id):
+            self._writes += 1
+            if self._link is None or not self._link.write(sample.payload):
+                self._writes_lost += 1
+            return
+        try:
+            self._gate.credit(decode(Credit, sample.payload, sample.encoding))
+        except (DecodeError, VersionError) as error:
+            self._errors += 1
+            self.context.log.warning("credit: %s", error)
+
+    def _health(self, age_s: float) -> tuple[State, str]:
+        if self._state is LinkState.ERROR:
+            return State.DEGRADED, self._detail
+        if self._state is LinkState.ENDED:
+            return State.STOPPED, self._detail
+        if not self._table.replay and age_s > STALE_S:
+            return State.STALE, f"no data for {age_s:.0f} s ({self._state.value})"
+        return State.RUNNING, ""
+
+
+def consumers_of(context: Context) -> list[str]:
+    """Return the solvers of the deployment that take this receiver's stream."""
+    return [name for name, solver in context.deployment.solver.items() if context.id in (solver.rover, solver.base, *solver.navigation)]
+
+
+def warm_decoder() -> None:
+    """Run the decoders once, so that their kernels are compiled or loaded."""
+    decoder = StreamDecoder(StreamOptions())
+    decoder.feed(bytes(range(256)))
+    decoder.flush()
+
+
+def create(context: Context) -> Service:
+    """Return the ingest service of a context."""
+    return IngestService(context)

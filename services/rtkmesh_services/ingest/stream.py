@@ -1,0 +1,104 @@
+"""What an ingest publishes: its stream's messages, numbered in stream order, and the raw frames."""
+
+import struct
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+from rtkmesh.codecs.messages import Frame, Message
+from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReferenceStation
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.signals import satellite_id
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh_schemas.keys import END, EPH, IONO, OBS, RAW, REF
+from rtkmesh_schemas.observation import EndOfStream, EphemerisMessage, IonosphereMessage, ReferenceMessage
+from rtkmesh_services.mapping.navigation import orbit_of, wire_time
+from rtkmesh_services.mapping.observation import observation_of
+from rtkmesh_services.runtime.service import Context
+
+Position = tuple[float, float, float]
+_ATTACHMENT = struct.Struct("<QqQ")  # sequence of the frame, UTC ns, monotonic ns of reading
+
+
+def is_numbered(message: Message) -> bool:
+    """Return whether a message is part of the numbered stream (all but the receiver's own fixes)."""
+    return isinstance(message, Epoch | KeplerEphemeris | GlonassEphemeris | KlobucharParameters | ReferenceStation | GlonassBias)
+
+
+class StreamPublisher:
+    """Publishes the messages of one receiver in stream order. ``known`` replaces the position that the stream says."""
+
+    def __init__(self, context: Context, known: Position | None, *, raw: bool) -> None:
+        self._context, self._bus = context, context.bus
+        self._known, self._raw = known, raw
+        self._frames = 0
+        self.sequence = 0
+        self.published: Counter[str] = Counter()
+        self.newest: Epoch | None = None
+        self._station = ReferenceStation(station_id=0, position_ecef_m=known, source="configuration" if known else "")
+        self._bias: GlonassBias | None = None
+
+    def open(self) -> None:
+        """Publish what is known before the first byte: a configured antenna position."""
+        if self._known is not None:
+            self._reference()
+
+    def frame(self, frame: Frame, mono_ns: int) -> None:
+        """Publish a raw frame when somebody listens."""
+        if self._raw and self._bus.matched(RAW, protocol=frame.protocol.value):
+            attachment = _ATTACHMENT.pack(self._frames, self._context.clock.utc_ns(), mono_ns)
+            self._bus.publish(RAW, frame.data, attachment=attachment, protocol=frame.protocol.value)
+        self._frames += 1
+
+    def message(self, message: Message, mono_ns: int) -> None:
+        """Publish one decoded message."""
+        if isinstance(message, Epoch):
+            self._epoch(message, mono_ns)
+        elif isinstance(message, KeplerEphemeris | GlonassEphemeris):
+            name = satellite_id(message.satellite)
+            self._bus.publish(EPH, EphemerisMessage(orbit=orbit_of(message), **self._next("eph")), satellite=name)
+        elif isinstance(message, KlobucharParameters):
+            parameters = {"system": message.system, "alpha": message.alpha, "beta": message.beta}
+            self._bus.publish(IONO, IonosphereMessage(**parameters, **self._next("iono")))
+        elif isinstance(message, ReferenceStation):
+            known = self._known is not None
+            self._station = replace(message, position_ecef_m=self._known, source="configuration") if known else message
+            self._reference()
+        elif isinstance(message, GlonassBias):
+            self._bias = message
+            self._reference()
+
+    def end(self) -> None:
+        """Publish that a replayed source is at its end."""
+        self._bus.publish(END, EndOfStream(**self._next("end")))
+
+    def _epoch(self, epoch: Epoch, mono_ns: int) -> None:
+        identity = self._next("obs")
+        del identity["after"]
+        utc_ns = self._context.clock.utc_ns()
+        self._bus.publish(OBS, observation_of(epoch, mono_ns=mono_ns, utc_ns=utc_ns, **identity))
+        if self.newest is None or epoch.time > self.newest.time:
+            self.newest = epoch
+
+    def _reference(self) -> None:
+        station = self._station
+        message = ReferenceMessage(
+            station_id=station.station_id,
+            position_ecef_m=station.position_ecef_m,
+            antenna_height_m=station.antenna_height_m,
+            antenna=station.antenna,
+            antenna_serial=station.antenna_serial,
+            receiver=station.receiver,
+            origin=station.source,
+            glonass_bias_m=None if self._bias is None else self._bias.bias_m,
+            **self._next("ref"),
+        )
+        self._bus.publish(REF, message)
+
+    def _next(self, kind: str) -> dict[str, Any]:
+        """Return the identity of the next numbered message."""
+        after: GpsTime | None = None if self.newest is None else self.newest.time
+        identity = {"source": self._context.id, "start_id": self._context.start_id, "sequence": self.sequence, "after": wire_time(after)}
+        self.sequence += 1
+        self.published[kind] += 1
+        return identity
