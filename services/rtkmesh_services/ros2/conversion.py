@@ -1,0 +1,176 @@
+"""From our messages to the fields of ROS 2 messages, without ROS: plain values that tests can see.
+
+Conventions (REP-103, REP-145, sensor_msgs): ENU, radians, yaw anticlockwise from east, altitude above the WGS 84 ellipsoid,
+NavSatFix in the antenna's frame, stamp = the measurement's UTC.
+"""
+
+from dataclasses import dataclass
+from math import cos, isfinite, nan, pi, sin
+from typing import Final
+
+from rtkmesh.gnss.time import GPS_ORIGIN, GpsTime, gps_minus_utc_s
+from rtkmesh_schemas.attitude import AttitudeMessage
+from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_schemas.status import ServiceStatus, State
+
+NONE, FIX, FLOAT, SBAS, DGPS, SINGLE = range(6)
+# sensor_msgs/NavSatStatus: no fix -1, fix 0, SBAS 1, GBAS 2. RTK and DGPS are ground based augmentation.
+_NAVSAT_STATUS: Final = {NONE: -1, FIX: 2, FLOAT: 2, SBAS: 1, DGPS: 2, SINGLE: 0}
+_SERVICE_BITS: Final = {"G": 1, "R": 2, "C": 4, "E": 8}
+COVARIANCE_UNKNOWN: Final = 0
+COVARIANCE_KNOWN: Final = 3
+UNSEEN_ANGLE_VARIANCE: Final = (pi / 2.0) ** 2  # roll or pitch that one baseline cannot see: level, one sigma a right angle
+UNKNOWN_RATE_VARIANCE: Final = 1.0e6
+UNIX_OF_GPS_S: Final = int(GPS_ORIGIN.timestamp())
+
+OK, WARN, ERROR, STALE = range(4)  # diagnostic_msgs/DiagnosticStatus
+_LEVELS: Final = {State.RUNNING: OK, State.STARTING: OK, State.WARMING: OK, State.STOPPED: WARN, State.DEGRADED: WARN, State.STALE: STALE}
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """builtin_interfaces/Time."""
+
+    sec: int
+    nanosec: int
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """Fields of sensor_msgs/NavSatFix."""
+
+    stamp: Stamp
+    status: int
+    service: int
+    latitude: float
+    longitude: float
+    altitude: float
+    position_covariance: tuple[float, ...]
+    position_covariance_type: int
+
+
+@dataclass(frozen=True, slots=True)
+class Velocity:
+    """Fields of geometry_msgs/TwistWithCovarianceStamped: linear ENU (m/s), 6x6 covariance row-major."""
+
+    stamp: Stamp
+    linear: tuple[float, float, float]
+    covariance: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Orientation:
+    """Fields of sensor_msgs/Imu that a heading fills: quaternion (x, y, z, w) of the body (FLU) in ENU and its 3x3 covariance."""
+
+    stamp: Stamp
+    quaternion: tuple[float, float, float, float]
+    covariance: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """Fields of diagnostic_msgs/DiagnosticStatus."""
+
+    level: int
+    name: str
+    message: str
+    values: tuple[tuple[str, str], ...]
+
+
+def stamp_of(week: int, tow_s: float) -> Stamp:
+    """Return the UTC stamp of a GPS time, to the nanosecond that a double of seconds of week holds."""
+    leap_s = gps_minus_utc_s(GpsTime(week, tow_s))
+    whole = int(tow_s)
+    nanosec = round((tow_s - whole) * 1e9)
+    carry, nanosec = divmod(nanosec, 1_000_000_000)
+    return Stamp(UNIX_OF_GPS_S + week * 604800 + whole + carry - leap_s, nanosec)
+
+
+def fix_of(solution: SolutionMessage, systems: str = "GREC") -> Fix:
+    """Return the NavSatFix of a solution; without one: status NO_FIX and NaN, never an old position."""
+    known = isfinite(solution.lat_deg)
+    covariance = solution.position_cov_enu_m2
+    trusted = known and all(isfinite(value) for value in covariance)
+    return Fix(
+        stamp=stamp_of(solution.week, solution.tow_s),
+        status=_NAVSAT_STATUS.get(solution.status, -1) if known else -1,
+        service=sum(bit for letter, bit in _SERVICE_BITS.items() if letter in systems),
+        latitude=solution.lat_deg,
+        longitude=solution.lon_deg,
+        altitude=solution.height_m,
+        position_covariance=covariance if trusted else (0.0,) * 9,
+        position_covariance_type=COVARIANCE_KNOWN if trusted else COVARIANCE_UNKNOWN,
+    )
+
+
+def velocity_of(solution: SolutionMessage) -> Velocity | None:
+    """Return the velocity of a solution in ENU, or None when there is none."""
+    linear = solution.velocity_enu_mps
+    if not all(isfinite(value) for value in (*linear, *solution.velocity_cov_enu_m2ps2)):
+        return None
+    covariance = [0.0] * 36
+    for row in range(3):
+        for column in range(3):
+            covariance[6 * row + column] = solution.velocity_cov_enu_m2ps2[3 * row + column]
+        covariance[6 * (row + 3) + row + 3] = UNKNOWN_RATE_VARIANCE
+    return Velocity(stamp_of(solution.week, solution.tow_s), linear, tuple(covariance))
+
+
+def orientation_of(attitude: AttitudeMessage) -> Orientation | None:
+    """Return the orientation of an attitude that passed its integrity tests, else None.
+
+    The angle that the antennas cannot see is level with a variance that says so. Pitch changes sign from nose up to ROS's
+    axes (forward, left, up).
+    """
+    if attitude.integrity != "ok" or not isfinite(attitude.yaw_enu_rad):
+        return None
+    roll = attitude.roll_rad if isfinite(attitude.roll_rad) else 0.0
+    pitch = -attitude.pitch_rad if isfinite(attitude.pitch_rad) else 0.0
+    heading_pitch_roll = attitude.covariance_rad2
+    variances = [v if isfinite(v) else UNSEEN_ANGLE_VARIANCE for v in (heading_pitch_roll[8], heading_pitch_roll[4], heading_pitch_roll[0])]
+    covariance = [0.0] * 9
+    covariance[0], covariance[4], covariance[8] = variances
+    # Both yaw and pitch change sign between (heading, nose up) and (ENU yaw, FLU pitch): their covariance keeps its sign.
+    covariance[5] = covariance[7] = heading_pitch_roll[1] if isfinite(heading_pitch_roll[1]) else 0.0
+    covariance[2] = covariance[6] = -heading_pitch_roll[2] if isfinite(heading_pitch_roll[2]) else 0.0
+    stamp = stamp_of(attitude.week, attitude.tow_s)
+    return Orientation(stamp, _quaternion(roll, pitch, attitude.yaw_enu_rad), tuple(covariance))
+
+
+def diagnostic_of(status: ServiceStatus, solution: SolutionMessage | None) -> Diagnostic:
+    """Return what a process tells of itself, with the figures of its newest solution."""
+    values = [("state", status.state.value), ("reason", status.reason), ("uptime_s", f"{status.uptime_s:.0f}"), ("pid", str(status.pid))]
+    level, message = _LEVELS.get(status.state, ERROR), status.reason or status.state.value
+    if solution is not None:
+        values += _figures(solution)
+        message = solution.status_name if level == OK else message
+        level = max(level, WARN) if solution.status in (NONE, SINGLE) and solution.mode != "single" else level
+    for stream in status.inputs:
+        age = nan if stream.age_s is None else stream.age_s
+        values.append((f"input {stream.name}", f"{stream.state}, {stream.messages} messages, {stream.lost} lost, age {age:.1f} s"))
+    return Diagnostic(level, f"rtkmesh/{status.role}: {status.id}", message, tuple(values))
+
+
+def _figures(solution: SolutionMessage) -> list[tuple[str, str]]:
+    return [
+        ("solution", solution.status_name),
+        ("ratio", f"{solution.ratio:.1f}"),
+        ("age_s", f"{solution.age_s:.2f}"),
+        ("satellites", str(solution.satellites_used)),
+        ("satellites_rover", str(solution.satellites_rover)),
+        ("satellites_base", str(solution.satellites_base)),
+        ("ambiguities_fixed", f"{solution.ambiguities_fixed}/{solution.ambiguities}"),
+        ("grade", str(solution.grade)),
+        ("waited_s", f"{solution.waited_s:.3f}"),
+    ]
+
+
+def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Return (x, y, z, w) of the rotation Z(yaw) Y(pitch) X(roll)."""
+    cr, sr, cp, sp, cy, sy = cos(roll / 2), sin(roll / 2), cos(pitch / 2), sin(pitch / 2), cos(yaw / 2), sin(yaw / 2)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )

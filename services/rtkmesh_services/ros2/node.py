@@ -1,0 +1,128 @@
+"""The ROS 2 side of the bridge. The only module that imports rclpy; it comes from the user's ROS installation."""
+
+# rclpy and its messages carry no types that a checker without ROS could see.
+# pyright: reportMissingImports=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false, reportMissingTypeStubs=false
+
+import threading
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TwistWithCovarianceStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import Imu, NavSatFix
+from std_srvs.srv import Trigger
+
+from rtkmesh_services.ros2.conversion import Diagnostic, Fix, Orientation, Stamp, Velocity
+
+QOS_DEPTH: Final = 10  # reliable, volatile: matches reliable and sensor-data subscribers
+OPERATIONS: Final = ("start", "stop", "restart")
+Command = Callable[[str, str], tuple[bool, str]]
+
+
+class BridgeNode:
+    """Publishers and services of one node, spun by a thread of its own. Topics: ``/{id}/fix``, ``fix_velocity``, ``heading``."""
+
+    def __init__(self, name: str, frame_id: str, map_frame_id: str, base_frame_id: str) -> None:
+        self._frame_id, self._map_frame_id, self._base_frame_id = frame_id, map_frame_id, base_frame_id
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(name, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._publishers: dict[tuple[str, str], Any] = {}
+        self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", QOS_DEPTH)
+        self._thread = threading.Thread(target=self._spin, daemon=True, name="rclpy")
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def add_solver(self, name: str, command: Command) -> None:
+        """Offer a solver's topics and its services start, stop, restart."""
+        self._publisher(name, "fix", NavSatFix)
+        self._publisher(name, "fix_velocity", TwistWithCovarianceStamped)
+        for operation in OPERATIONS:
+            self._node.create_service(Trigger, f"/{name}/{operation}", _trigger(name, operation, command))
+
+    def add_attitude(self, name: str) -> None:
+        """Offer an attitude's topic."""
+        self._publisher(name, "heading", Imu)
+
+    def publish_fix(self, name: str, fix: Fix) -> None:
+        """Publish a position."""
+        publisher = self._publishers[name, "fix"]
+        if not publisher.get_subscription_count():
+            return
+        message = NavSatFix()
+        _head(message.header, fix.stamp, self._frame_id)
+        message.status.status, message.status.service = fix.status, fix.service
+        message.latitude, message.longitude, message.altitude = fix.latitude, fix.longitude, fix.altitude
+        message.position_covariance = list(fix.position_covariance)
+        message.position_covariance_type = fix.position_covariance_type
+        publisher.publish(message)
+
+    def publish_velocity(self, name: str, velocity: Velocity) -> None:
+        """Publish a velocity in ENU axes."""
+        publisher = self._publishers[name, "fix_velocity"]
+        if not publisher.get_subscription_count():
+            return
+        message = TwistWithCovarianceStamped()
+        _head(message.header, velocity.stamp, self._map_frame_id)
+        linear = message.twist.twist.linear
+        linear.x, linear.y, linear.z = velocity.linear
+        message.twist.covariance = list(velocity.covariance)
+        publisher.publish(message)
+
+    def publish_heading(self, name: str, orientation: Orientation) -> None:
+        """Publish an orientation."""
+        publisher = self._publishers[name, "heading"]
+        if not publisher.get_subscription_count():
+            return
+        message = Imu()
+        _head(message.header, orientation.stamp, self._base_frame_id)
+        q = message.orientation
+        q.x, q.y, q.z, q.w = orientation.quaternion
+        message.orientation_covariance = list(orientation.covariance)
+        message.angular_velocity_covariance[0] = -1.0  # REP-145: not measured
+        message.linear_acceleration_covariance[0] = -1.0
+        publisher.publish(message)
+
+    def publish_diagnostics(self, diagnostics: Iterable[Diagnostic]) -> None:
+        """Publish what the processes tell of themselves."""
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [_status(diagnostic) for diagnostic in diagnostics]
+        self._diagnostics.publish(message)
+
+    def close(self) -> None:
+        """End the thread and leave ROS."""
+        self._context.try_shutdown()
+        self._thread.join(1.0)
+
+    def _publisher(self, name: str, topic: str, kind: Any) -> None:
+        self._publishers[name, topic] = self._node.create_publisher(kind, f"/{name}/{topic}", QOS_DEPTH)
+
+    def _spin(self) -> None:
+        while self._context.ok():
+            self._executor.spin_once(timeout_sec=0.2)
+
+
+def _trigger(name: str, operation: str, command: Command) -> Callable[[Any, Any], Any]:
+    def serve(_: Any, response: Any) -> Any:
+        response.success, response.message = command(name, operation)
+        return response
+
+    return serve
+
+
+def _head(header: Any, stamp: Stamp, frame_id: str) -> None:
+    header.stamp.sec, header.stamp.nanosec, header.frame_id = stamp.sec, stamp.nanosec, frame_id
+
+
+def _status(diagnostic: Diagnostic) -> Any:
+    values = [KeyValue(key=key, value=value) for key, value in diagnostic.values]
+    return DiagnosticStatus(level=bytes([diagnostic.level]), name=diagnostic.name, message=diagnostic.message, values=values)
