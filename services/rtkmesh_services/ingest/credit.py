@@ -1,13 +1,16 @@
 """Pacing of replays by their consumers: nothing is sent that they could not take, so nothing is ever dropped.
 
 A replay begins when every consumer has said that it is ready, and is never further ahead of the slowest one than a window of
-messages, unless that consumer says that it needs the stream up to a later time. A consumer that has died is not waited for;
-when it comes back, it counts from there.
+messages, unless that consumer says that it needs the stream up to a later time. A consumer that has died is not waited for, or only
+for ``patience_s``: in a replay without clock its supervisor shall find something left to play when it is back. It then counts
+from there.
 """
 
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from math import inf
+from time import monotonic
 
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.observation import Credit
@@ -22,14 +25,15 @@ class _Consumer:
     taken: int = -1
     wanted: GpsTime | None = None
     alive: bool = False
+    died_s: float = -inf
 
 
 class CreditGate:
     """Lets a replay's thread pass when all consumers can take more. Thread-safe."""
 
-    def __init__(self, consumers: Iterable[str], window: int = WINDOW_MESSAGES) -> None:
+    def __init__(self, consumers: Iterable[str], window: int = WINDOW_MESSAGES, patience_s: float = 0.0) -> None:
         self._consumers = {name: _Consumer() for name in consumers}
-        self._window = window
+        self._window, self._patience_s = window, patience_s
         self._sent = -1
         self._changed = threading.Condition()
 
@@ -51,6 +55,7 @@ class CreditGate:
         with self._changed:
             if consumer in self._consumers:
                 self._consumers[consumer].alive = False
+                self._consumers[consumer].died_s = monotonic()
                 self._changed.notify_all()
 
     def wait_ready(self, stopping: threading.Event) -> bool:
@@ -70,7 +75,9 @@ class CreditGate:
             return [name for name, consumer in self._consumers.items() if not consumer.start_id]
 
     def _may(self, consumer: _Consumer, sequence: int, time: GpsTime) -> bool:
-        if not consumer.alive or sequence - consumer.taken <= self._window:
+        if not consumer.alive:
+            return monotonic() - consumer.died_s >= self._patience_s
+        if sequence - consumer.taken <= self._window:
             return True
         return consumer.wanted is not None and time <= consumer.wanted
 

@@ -3,13 +3,13 @@
 The kind is found from the content, never from the name. Raw logs are read in pieces of any size, RINEX files at once.
 """
 
-import gzip
 import warnings
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import BinaryIO, Final, cast
+from typing import Final
 
 from rtkmesh.codecs.framing import Framer
 from rtkmesh.codecs.messages import DecodingCounters, FramingCounters, Message, Protocol
@@ -25,6 +25,7 @@ _COMPRESSED: Final = (b"\x1f\x9d", b"BZh", b"PK\x03\x04")  # LZW (.Z), bzip2, zi
 _RINEX_LABEL: Final = b"RINEX VERSION / TYPE"
 _HATANAKA_LABEL: Final = b"CRINEX VERS   / TYPE"
 _LABEL_COLUMN: Final = 60
+_GZIP_FORMAT: Final = 31  # zlib: gzip members with the largest window
 _HEAD: Final = 1 << 18  # bytes that the kind of a raw log is found from
 _CHUNK: Final = 1 << 16
 
@@ -63,6 +64,9 @@ class Recording(ABC):
     def decoding(self) -> DecodingCounters:
         """What was decoded, ignored and rejected so far."""
 
+    def close(self) -> None:
+        """Give the file back; needed only where ``messages`` was not read to its end."""
+
 
 class RawRecording(Recording):
     """A log of a receiver's bytes."""
@@ -80,7 +84,10 @@ class RawRecording(Recording):
     @property
     def decoding(self) -> DecodingCounters:
         """What was decoded, ignored and rejected so far."""
-        return self._decoder.decoding
+        counters = self._decoder.decoding
+        if self._opened.damage:
+            counters.rejected[self._opened.damage] += 1
+        return counters
 
     @property
     def framing(self) -> FramingCounters:
@@ -88,13 +95,9 @@ class RawRecording(Recording):
         return self._decoder.framing
 
     def chunks(self, size: int = _CHUNK) -> Iterator[bytes]:
-        """Yield the bytes of the log from its beginning, ``size`` at a time; SourceError where its compression is damaged."""
+        """Yield the bytes of the log from its beginning, at most ``size`` at a time, as far as its compression is whole."""
         with self._opened.file:
-            try:
-                while data := self._opened.stream.read(size):
-                    yield data
-            except (OSError, EOFError) as error:
-                raise SourceError(f"{self.path}: {error}") from error
+            yield from self._opened.chunks(size)
 
     def messages(self) -> Iterator[Message]:
         """Yield the engine messages in stream order."""
@@ -102,6 +105,10 @@ class RawRecording(Recording):
             for _, messages in self._decoder.feed(chunk):
                 yield from messages
         yield from self._decoder.flush()
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._opened.file.close()
 
 
 class ObservationRecording(Recording):
@@ -153,7 +160,10 @@ class NavigationRecording(Recording):
 
 
 class _Opened:
-    """A file and the stream of its uncompressed bytes; ``file`` is the one on disk."""
+    """A file and its uncompressed bytes, as far as they can be had: a log that was cut short is read up to its end.
+
+    ``damage`` says after reading what is wrong with the compression.
+    """
 
     def __init__(self, path: Path) -> None:
         try:
@@ -164,15 +174,46 @@ class _Opened:
             raise SourceError(f"{path} does not exist") from error
         except OSError as error:
             raise SourceError(f"{path}: {error.strerror}") from error
-        magic = self.file.read(2)
+        self.damage = ""
+        self._compressed = self.file.read(2) == _GZIP
+
+    def chunks(self, size: int) -> Iterator[bytes]:
+        """Yield the uncompressed bytes from the beginning, at most ``size`` at a time."""
         self.file.seek(0)
-        self.stream: BinaryIO = cast("BinaryIO", gzip.GzipFile(fileobj=self.file)) if magic == _GZIP else self.file
+        if self._compressed:
+            yield from self._inflated(size)
+            return
+        while data := self.file.read(size):
+            yield data
 
     def head(self, size: int) -> bytes:
-        """Return the first uncompressed bytes and rewind."""
-        data = self.stream.read(size)
-        self.stream.seek(0)
+        """Return the first uncompressed bytes."""
+        data = b""
+        for chunk in self.chunks(size):
+            data += chunk
+            if len(data) >= size:
+                break
         return data
+
+    def _inflated(self, size: int) -> Iterator[bytes]:
+        """Yield what the members of a gzip file hold (RFC 1952)."""
+        inflater, packed = zlib.decompressobj(_GZIP_FORMAT), b""
+        self.damage = ""
+        while packed := packed or self.file.read(_CHUNK):
+            try:
+                data = inflater.decompress(packed, size)
+            except zlib.error:
+                self.damage = "file/damaged compression"
+                return
+            packed = inflater.unconsumed_tail
+            if data:
+                yield data
+            if inflater.eof:
+                packed = inflater.unused_data.lstrip(b"\0") or self.file.read(_CHUNK)
+                if not packed.startswith(_GZIP):  # padding
+                    return
+                inflater = zlib.decompressobj(_GZIP_FORMAT)
+        self.damage = "file/compression cut short"
 
 
 def open_recording(path: Path, date: GpsTime | None = None, *, options: StreamOptions | None = None) -> Recording:
@@ -185,17 +226,12 @@ def open_recording(path: Path, date: GpsTime | None = None, *, options: StreamOp
     try:
         head = opened.head(_HEAD)
         if not head:
-            raise SourceError(f"{path} is empty")
+            raise SourceError(f"{path} is empty" if not opened.damage else f"{path}: {opened.damage}")
         if head.startswith(_COMPRESSED) or _label(head) in (_RINEX_LABEL, _HATANAKA_LABEL):
             return _text_recording(path, opened)
         kind = _kind_of_log(head)
         if kind is None:
-            raise SourceError(
-                f"{path} is no recording of a known kind: no RINEX header, no UBX, RTCM 3 or NMEA frame in its first {len(head)} bytes"
-            )
-    except (OSError, EOFError) as error:  # damaged compression
-        opened.file.close()
-        raise SourceError(f"{path}: {error}") from error
+            raise SourceError(f"{path} is no recording of a known kind: no RINEX header, and no UBX, RTCM 3 or NMEA frame in its beginning")
     except BaseException:
         opened.file.close()
         raise
@@ -209,15 +245,16 @@ def _label(head: bytes) -> bytes:
 def _text_recording(path: Path, opened: _Opened) -> Recording:
     """Return the recording of a RINEX file, of Hatanaka text, or of either in LZW, bzip2 or zip."""
     with opened.file:
-        text = opened.stream.read()
+        text = b"".join(opened.chunks(_CHUNK))
     if _label(text) != _RINEX_LABEL:
         text = _decompressed(path, text)
     try:
-        if text[20:21] == b"O":
-            return ObservationRecording(path, text)
-        return NavigationRecording(path, text)
+        recording = ObservationRecording(path, text) if text[20:21] == b"O" else NavigationRecording(path, text)
     except FormatError as error:
         raise SourceError(f"{path}: {error}") from error
+    if opened.damage:
+        recording.decoding.rejected[opened.damage] += 1
+    return recording
 
 
 def _decompressed(path: Path, content: bytes) -> bytes:
@@ -227,7 +264,7 @@ def _decompressed(path: Path, content: bytes) -> bytes:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a log cut short is read as far as it goes
             text = hatanaka.decompress(content, skip_strange_epochs=True)
-    except (hatanaka.HatanakaException, ValueError, OSError, EOFError) as error:
+    except (hatanaka.HatanakaException, ValueError, OSError, EOFError, zlib.error) as error:
         raise SourceError(f"{path}: {str(error).strip() or 'cannot be uncompressed'}") from error
     if _label(text) != _RINEX_LABEL:
         raise SourceError(f"{path} holds no RINEX file")

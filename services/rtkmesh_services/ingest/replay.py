@@ -7,9 +7,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from rtkmesh.codecs.stream import StreamOptions
-
 from rtkmesh.codecs.messages import Message
+from rtkmesh.codecs.stream import StreamOptions
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_services.errors import SourceError

@@ -4,9 +4,8 @@ import threading
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
-
 from rtkmesh.codecs.messages import Message
+from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.gnss.ephemeris import ReceiverFix
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import IngestTable
@@ -26,6 +25,7 @@ from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 
+DEAD_CONSUMER_S = 10.0  # how long a replay as fast as it goes waits for a consumer that died
 STALE_S = 5.0  # a live source that is silent for so long is STALE
 
 
@@ -41,7 +41,7 @@ class IngestService(Service):
         self._url: SourceUrl = parse_source(self._table.source)
         self._decoder = StreamDecoder(self._options())
         self._publisher = StreamPublisher(context, known_position(self._table), raw=self._table.raw)
-        self._gate = CreditGate(consumers_of(context))
+        self._gate = CreditGate(consumers_of(context), patience_s=0.0 if self._url.scheme != "file" or self._url.speed else DEAD_CONSUMER_S)
         self._decode_ms = RollingQuantiles()
         self._link: Link | None = None
         self._stop_source = threading.Event()

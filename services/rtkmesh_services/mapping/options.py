@@ -45,8 +45,13 @@ def session_options(table: SolverTable, *, replay: bool, base_position_ecef_m: t
         rtk=options,
         pairing=pairing_for(options, replay=replay, maximum_wait_s=table.sync.max_wait_s, matched_only=table.sync.matched_only),
         base_position_ecef_m=base_position_ecef_m,
-        navigation_streams=len(table.navigation),
+        navigation_streams=len(navigation_only(table)),
     )
+
+
+def navigation_only(table: SolverTable) -> tuple[str, ...]:
+    """Return the ids of the ingests that give a solver nothing but navigation data."""
+    return tuple(name for name in dict.fromkeys(table.navigation) if name not in (table.rover, table.base))
 
 
 def known_position(table: IngestTable) -> tuple[float, float, float] | None:

@@ -112,7 +112,8 @@ class RecorderService(Service):
             state=State.DEGRADED if self._error else State.RUNNING,
             reason=self._error,
             inputs=[
-                InputStatus(name=f"{n}/{p}", state="recording", detail=str(g.path), messages=g.frames, bytes=g.bytes) for (n, p), g in logs
+                InputStatus(name=f"{name}/{protocol}", state="recording", detail=str(log.path), messages=log.frames, bytes=log.size)
+                for (name, protocol), log in self._logs.items()
             ],
             counters={f"lost_{name}": count for name, count in self._lost.items()},
         )

@@ -17,7 +17,7 @@ from rtkmesh_schemas.keys import CREDIT, SAT, SOL, Role
 from rtkmesh_schemas.observation import Credit
 from rtkmesh_schemas.status import Level, State
 from rtkmesh_services.errors import CommandError
-from rtkmesh_services.mapping.options import known_position, session_options
+from rtkmesh_services.mapping.options import known_position, navigation_only, session_options
 from rtkmesh_services.mapping.solution import satellites_message, solution_message
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_solver_table
@@ -125,7 +125,7 @@ class SolverService(Service):
     def _sources(self) -> list[tuple[Source, str]]:
         table = self._table
         named = [(Source.ROVER, table.rover), (Source.BASE, table.base)]
-        return [(source, name) for source, name in named if name] + [(Source.NAVIGATION, name) for name in table.navigation]
+        return [(source, name) for source, name in named if name] + [(Source.NAVIGATION, name) for name in navigation_only(table)]
 
     def _ingest(self, name: str) -> IngestTable:
         return self.context.deployment.ingest[name]

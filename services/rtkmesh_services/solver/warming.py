@@ -1,22 +1,39 @@
 """Compiling, or loading from the cache, of the engine's kernels: by solving a few simulated epochs."""
 
-from rtkmesh.simulation.scenario import warm_up_messages
+from itertools import islice
 
+from rtkmesh.codecs.messages import Message
+from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import Mode, RtkOptions
-from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
+from rtkmesh.rtk.session import EndOfStream, Session, SessionOptions, Source, pairing_for
+from rtkmesh.simulation.scenario import open_stream
 
-EPOCHS = 3
+EPOCHS = 4
+START = GpsTime(2400, 3600.0)
 
 
 def warm_engine() -> None:
     """Solve a few simulated epochs in the modes that use different kernels."""
-    rover, base = warm_up_messages(GpsTime(2400, 0.0), EPOCHS)
-    for mode in (Mode.KINEMATIC, Mode.MOVING_BASE):
-        options = RtkOptions(mode=mode)
-        session = Session(SessionOptions(options, pairing_for(options, replay=False)))
-        for message in base:
-            session.feed(Source.BASE, message)
-        for message in rover:
-            session.feed(Source.ROVER, message)
-        list(session.solutions(1e9))
+    rover, heading, base = (simulated_messages(antenna) for antenna in ("rover", "heading", "base"))
+    solve(Mode.KINEMATIC, rover, base)
+    solve(Mode.MOVING_BASE, heading, rover)
+
+
+def simulated_messages(antenna: str) -> list[Message]:
+    """Return what the demo's antenna sends in its first epochs, decoded."""
+    decoder = StreamDecoder(StreamOptions(approximate_time=START))
+    stream = open_stream("demo", antenna, seed=1, rate_hz=5.0, start=START)
+    decoded = [part for epoch in islice(stream.epochs(), EPOCHS) for part in decoder.feed(epoch.data)]
+    return [message for _, messages in decoded for message in messages] + decoder.flush()
+
+
+def solve(mode: Mode, rover: list[Message], base: list[Message]) -> int:
+    """Run the streams through a session; return the number of solutions."""
+    options = RtkOptions(mode=mode)
+    session = Session(SessionOptions(options, pairing_for(options, replay=True)))
+    for source, messages in ((Source.BASE, base), (Source.ROVER, rover)):
+        for message in messages:
+            session.feed(source, message)
+        session.feed(source, EndOfStream())
+    return sum(1 for _ in session.solutions())

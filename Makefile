@@ -1,0 +1,51 @@
+# rtkmesh: needs Python >= 3.11 with venv, and make. Everything else goes into .venv.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+ARGS ?=
+READY := $(VENV)/.ready
+WARM := $(VENV)/.warm
+
+.PHONY: help setup demo test lint bench fuzz clean
+.DEFAULT_GOAL := help
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(READY) $(WARM) ## make .venv with everything (quick the second time)
+
+$(READY): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "rtkmesh needs Python >= 3.11; say PYTHON=python3.12 or the like"; exit 2; }
+	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV) || { $(PYTHON) -m venv --without-pip --clear $(VENV) && $(PYTHON) -m pip --python $(BIN)/python install --quiet pip; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --group test --group lint
+	@touch $@
+
+# Compiled kernels are kept beside the sources; a change of the engine compiles what it touches on its next use.
+$(WARM): $(READY)
+	$(BIN)/rtkmesh warm
+	@touch $@
+
+demo: setup ## the main job on simulated receivers; ARGS="--seconds 30 --json"
+	@$(BIN)/rtkmesh demo $(ARGS)
+
+test: setup ## all tests; ARGS="-k name"
+	$(BIN)/python -m pytest $(ARGS) -m "not e2e and not slow"
+	$(BIN)/python -m pytest $(ARGS) -m "e2e or slow"
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(ARGS) -m "not e2e and not slow and not data and not rtklib" tests/gnss tests/models tests/rtk tests/attitude
+
+lint: $(READY) ## ruff, pyright, import contract
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+bench: setup ## accuracy and speed beside RTKLIB's on the recordings (RTKMESH_DATA)
+	$(BIN)/python benchmarks/run.py $(ARGS)
+
+fuzz: setup ## long runs of the property tests of everything that reads bytes
+	RTKMESH_FUZZ=1 $(BIN)/python -m pytest -q -p no:randomly tests/codecs tests/services -k "any or damaged or random or split or corrupt" $(ARGS)
+
+clean: ## remove .venv and everything that was made
+	rm -rf $(VENV) .venv-ros .pytest_cache .ruff_cache .hypothesis .import_linter_cache .coverage htmlcov dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

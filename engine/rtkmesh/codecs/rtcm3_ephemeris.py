@@ -1,0 +1,333 @@
+"""RTCM 3 ephemeris messages 1019, 1020, 1042, 1044, 1045 and 1046 (RTCM 10403.3, 3.5.9 and 3.5.12): tables, both ways.
+
+The messages carry a truncated week and no time of transmission. The week is resolved near the stream's clock, toe is moved to
+the neighbouring week when the week belongs to the transmission and toe lies beyond its end, and ``transmitted`` is the clock
+if the ephemeris can have been sent then, else toe.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, datetime, timedelta
+from math import ldexp
+from typing import Final
+
+from rtkmesh.codecs.accuracy import GLONASS_FT_M, SISA_M, URA_M, accuracy_index, accuracy_m
+from rtkmesh.codecs.bits import Coding, Field, Layout
+from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, QZSS_FIT_S, gps_fit_s
+from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, PI_GPS, SECONDS_PER_DAY, SECONDS_PER_WEEK
+from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, NavigationMessage
+from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s, nearest_week, resolve_week
+
+# Without any other time, ten-bit weeks are taken to lie within 512 weeks of this one: 2019-04-07 to 2038-11-20.
+_GLONASS_ACCURACY_M: Final = 5.0  # satellites before GLONASS-M send no F_T
+ERA: Final = GpsTime(2560, 0.0)
+
+_NO_SISA: Final = 255
+_FIRST_PERIOD: Final = 5  # N4 of 2012 to 2015: earlier ones are junk
+_SURE_S: Final = 2.0 * SECONDS_PER_DAY
+_SHIFT_WINDOW_S: Final = SECONDS_PER_DAY / 2.0  # toe is at most some hours from the transmission
+_U, _S, _M = Coding.UNSIGNED, Coding.TWOS_COMPLEMENT, Coding.SIGN_MAGNITUDE
+
+Row = tuple[str, int] | tuple[str, int, float] | tuple[str, int, float, Coding]
+
+
+def _layout(name: str, rows: Iterable[Row]) -> Layout:
+    """Return the layout of fields that follow one another, as (name, bits, scale, coding)."""
+    fields: list[Field] = []
+    at = 0
+    for row in rows:
+        part = ((at, row[1]),)
+        if len(row) == 4:
+            fields.append(Field(row[0], part, row[2], row[3]))
+        else:
+            fields.append(Field(row[0], part, row[2] if len(row) == 3 else 1.0))
+        at += row[1]
+    return Layout(name, at, tuple(fields))
+
+
+def _two(exponent: int) -> float:
+    return ldexp(1.0, exponent)
+
+
+def _pi(exponent: int) -> float:
+    return ldexp(PI_GPS, exponent)
+
+
+_ANGLE: Final = (32, _pi(-31), _S)
+_RATE14: Final = (14, _pi(-43), _S)
+_RATE16: Final = (16, _pi(-43), _S)
+_RATE24: Final = (24, _pi(-43), _S)
+_HARMONIC: Final = (16, _two(-29), _S)
+_RADIUS: Final = (16, _two(-5), _S)
+_ECCENTRICITY: Final = (32, _two(-33))
+_ROOT: Final = (32, _two(-19))
+
+_GPS: Final = _layout("1019", (
+    ("number", 12), ("slot", 6), ("week", 10), ("accuracy", 4), ("l2_code", 2), ("idot_radps", *_RATE14), ("iode", 8), ("toc_s", 16, 16.0),
+    ("af2", 8, _two(-55), _S), ("af1", 16, _two(-43), _S), ("af0_s", 22, _two(-31), _S), ("iodc", 10), ("crs_m", *_RADIUS),
+    ("delta_n_radps", *_RATE16), ("m0_rad", *_ANGLE), ("cuc_rad", *_HARMONIC), ("eccentricity", *_ECCENTRICITY), ("cus_rad", *_HARMONIC),
+    ("sqrt_a", *_ROOT), ("toe_s", 16, 16.0), ("cic_rad", *_HARMONIC), ("omega0_rad", *_ANGLE), ("cis_rad", *_HARMONIC), ("i0_rad", *_ANGLE),
+    ("crc_m", *_RADIUS), ("omega_rad", *_ANGLE), ("omega_dot_radps", *_RATE24), ("tgd_s", 8, _two(-31), _S), ("health", 6), ("l2p_flag", 1),
+    ("fit", 1),
+))  # fmt: skip
+
+_QZSS: Final = _layout("1044", (
+    ("number", 12), ("slot", 4), ("toc_s", 16, 16.0), ("af2", 8, _two(-55), _S), ("af1", 16, _two(-43), _S), ("af0_s", 22, _two(-31), _S),
+    ("iode", 8), ("crs_m", *_RADIUS), ("delta_n_radps", *_RATE16), ("m0_rad", *_ANGLE), ("cuc_rad", *_HARMONIC),
+    ("eccentricity", *_ECCENTRICITY), ("cus_rad", *_HARMONIC), ("sqrt_a", *_ROOT), ("toe_s", 16, 16.0), ("cic_rad", *_HARMONIC),
+    ("omega0_rad", *_ANGLE), ("cis_rad", *_HARMONIC), ("i0_rad", *_ANGLE), ("crc_m", *_RADIUS), ("omega_rad", *_ANGLE),
+    ("omega_dot_radps", *_RATE24), ("idot_radps", *_RATE14), ("l2_code", 2), ("week", 10), ("accuracy", 4), ("health", 6),
+    ("tgd_s", 8, _two(-31), _S), ("iodc", 10), ("fit", 1),
+))  # fmt: skip
+
+_BEIDOU: Final = _layout("1042", (
+    ("number", 12), ("slot", 6), ("week", 13), ("accuracy", 4), ("idot_radps", *_RATE14), ("iode", 5), ("toc_s", 17, 8.0),
+    ("af2", 11, _two(-66), _S), ("af1", 22, _two(-50), _S), ("af0_s", 24, _two(-33), _S), ("iodc", 5), ("crs_m", 18, _two(-6), _S),
+    ("delta_n_radps", *_RATE16), ("m0_rad", *_ANGLE), ("cuc_rad", 18, _two(-31), _S), ("eccentricity", *_ECCENTRICITY),
+    ("cus_rad", 18, _two(-31), _S), ("sqrt_a", *_ROOT), ("toe_s", 17, 8.0), ("cic_rad", 18, _two(-31), _S), ("omega0_rad", *_ANGLE),
+    ("cis_rad", 18, _two(-31), _S), ("i0_rad", *_ANGLE), ("crc_m", 18, _two(-6), _S), ("omega_rad", *_ANGLE), ("omega_dot_radps", *_RATE24),
+    ("tgd1_s", 10, 1e-10, _S), ("tgd2_s", 10, 1e-10, _S), ("health", 1),
+))  # fmt: skip
+
+_GALILEO_ROWS: Final[tuple[Row, ...]] = (
+    ("number", 12), ("slot", 6), ("week", 12), ("iode", 10), ("accuracy", 8), ("idot_radps", *_RATE14), ("toc_s", 14, 60.0),
+    ("af2", 6, _two(-59), _S), ("af1", 21, _two(-46), _S), ("af0_s", 31, _two(-34), _S), ("crs_m", *_RADIUS), ("delta_n_radps", *_RATE16),
+    ("m0_rad", *_ANGLE), ("cuc_rad", *_HARMONIC), ("eccentricity", *_ECCENTRICITY), ("cus_rad", *_HARMONIC), ("sqrt_a", *_ROOT),
+    ("toe_s", 14, 60.0), ("cic_rad", *_HARMONIC), ("omega0_rad", *_ANGLE), ("cis_rad", *_HARMONIC), ("i0_rad", *_ANGLE),
+    ("crc_m", *_RADIUS), ("omega_rad", *_ANGLE), ("omega_dot_radps", *_RATE24), ("bgd_e5a_s", 10, _two(-32), _S),
+)  # fmt: skip
+_FNAV: Final = _layout("1045", (*_GALILEO_ROWS, ("health_e5a", 2), ("invalid_e5a", 1), ("reserved", 7)))
+_INAV: Final = _layout("1046", (
+    *_GALILEO_ROWS, ("bgd_e5b_s", 10, _two(-32), _S), ("health_e5b", 2), ("invalid_e5b", 1), ("health_e1b", 2), ("invalid_e1b", 1),
+    ("reserved", 2),
+))  # fmt: skip
+
+_KM: Final = 1e3
+
+
+def _axis(name: str) -> tuple[Row, ...]:
+    return (
+        (f"velocity_{name}_mps", 24, _KM * _two(-20), _M),
+        (f"position_{name}_m", 27, _KM * _two(-11), _M),
+        (f"acceleration_{name}_mps2", 5, _KM * _two(-30), _M),
+    )
+
+
+_GLONASS: Final = _layout("1020", (
+    ("number", 12), ("slot", 6), ("channel", 5), ("almanac_health", 1), ("almanac_health_available", 1), ("p1", 2), ("tk_hours", 5),
+    ("tk_minutes", 6), ("tk_half_minutes", 1), ("bn_msb", 1), ("p2", 1), ("tb_s", 7, 900.0), *_axis("x"), *_axis("y"), *_axis("z"),
+    ("p3", 1), ("gamma", 11, _two(-40), _M), ("p", 2), ("ln_3", 1), ("tau_n_s", 22, _two(-30), _M), ("delta_tau_n_s", 5, _two(-30), _M),
+    ("age_days", 5), ("p4", 1), ("ft", 4), ("nt_days", 11), ("m", 2), ("additional", 1), ("na_days", 11), ("tau_c_s", 32, _two(-31), _M),
+    ("n4", 5), ("tau_gps_s", 22, _two(-30), _M), ("ln_5", 1), ("reserved", 7),
+))  # fmt: skip
+
+LAYOUTS: Final = {1019: _GPS, 1020: _GLONASS, 1042: _BEIDOU, 1044: _QZSS, 1045: _FNAV, 1046: _INAV}
+
+
+def decode_ephemeris(payload: bytes, number: int, clock: GpsTime | None) -> Ephemeris | str:
+    """Return the ephemeris of a message, or the reason of its rejection.
+
+    Without a ``clock`` the weeks of 1019 and 1044 are resolved in ``ERA``; the other systems' weeks are long enough.
+    """
+    layout = LAYOUTS[number]
+    spare = 8 * len(payload) - layout.bits
+    if spare < 0:
+        return "too short"
+    values = layout.read(int.from_bytes(payload, "big") >> spare)
+    return _DECODERS[number](values, clock)
+
+
+def _decode_gps(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+    week = resolve_week(int(v["week"]), 10, clock or ERA)
+    fit_s = gps_fit_s(int(v["iodc"])) if v["fit"] else GPS_FIT_S
+    return _kepler(GPS, v, (week, 0.0), clock, NavigationMessage.LNAV, fit_s, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd_s"], 0.0))
+
+
+def _decode_qzss(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+    week = resolve_week(int(v["week"]), 10, clock or ERA)
+    return _kepler(
+        QZSS, v, (week, 0.0), clock, NavigationMessage.LNAV, QZSS_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd_s"], 0.0)
+    )
+
+
+def _decode_beidou(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+    week = BDT_WEEK_OFFSET + resolve_week(int(v["week"]), 13, GpsTime((clock or ERA).week - BDT_WEEK_OFFSET, 0.0))
+    message = NavigationMessage.D2 if v["slot"] <= 5 or 59 <= v["slot"] <= 63 else NavigationMessage.D1
+    delays = (v["tgd1_s"], v["tgd2_s"])
+    return _kepler(BEIDOU, v, (week, -BDT_MINUS_GPST_S), clock, message, BEIDOU_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), delays)
+
+
+def _decode_fnav(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+    health = int(v["health_e5a"]) << 4 | int(v["invalid_e5a"]) << 3
+    return _galileo(v, health, clock, NavigationMessage.FNAV, (v["bgd_e5a_s"], 0.0))
+
+
+def _decode_inav(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+    health = int(v["health_e5b"]) << 7 | int(v["invalid_e5b"]) << 6 | int(v["health_e1b"]) << 1 | int(v["invalid_e1b"])
+    return _galileo(v, health, clock, NavigationMessage.INAV, (v["bgd_e5a_s"], v["bgd_e5b_s"]))
+
+
+def _galileo(
+    v: dict[str, float], health: int, clock: GpsTime | None, message: NavigationMessage, delays_s: tuple[float, float]
+) -> Ephemeris | str:
+    """Health bits stand as in RINEX 3.05 table A8."""
+    week = GST_WEEK_OFFSET + resolve_week(int(v["week"]), 12, GpsTime((clock or ERA).week - GST_WEEK_OFFSET, 0.0))
+    v["iodc"], v["health"] = v["iode"], health
+    return _kepler(GALILEO, v, (week, 0.0), clock, message, GALILEO_FIT_S, accuracy_m(SISA_M, int(v["accuracy"])), delays_s)
+
+
+def _kepler(
+    system: int, v: Mapping[str, float], origin: tuple[int, float], clock: GpsTime | None, message: NavigationMessage,
+    fit_s: float, accuracy_m: float, group_delay_s: tuple[float, float],
+) -> Ephemeris | str:  # fmt: skip
+    """Return the ephemeris of decoded fields; ``origin`` is the week of toe and GPST minus the system's time."""
+    if not 1 <= v["slot"] < SATELLITES_PER_SYSTEM or v["toe_s"] >= SECONDS_PER_WEEK or v["toc_s"] >= SECONDS_PER_WEEK:
+        return "satellite or time out of range"
+    if not (4000.0 < v["sqrt_a"] < 8192.0 and v["eccentricity"] < 0.5):
+        return "no orbit"
+    toe = _near_end_of_week(GpsTime.normalized(origin[0], v["toe_s"] + origin[1]), clock)
+    return KeplerEphemeris(
+        satellite=system * SATELLITES_PER_SYSTEM + int(v["slot"]), message=message, iode=int(v["iode"]), iodc=int(v["iodc"]), toe=toe,
+        toc=nearest_week(v["toc_s"] + origin[1], toe), transmitted=_transmitted(toe, clock), health=int(v["health"]), accuracy_m=accuracy_m,
+        fit_s=fit_s, sqrt_a=v["sqrt_a"], eccentricity=v["eccentricity"], m0_rad=v["m0_rad"], delta_n_radps=v["delta_n_radps"],
+        omega0_rad=v["omega0_rad"], omega_rad=v["omega_rad"], omega_dot_radps=v["omega_dot_radps"], i0_rad=v["i0_rad"],
+        idot_radps=v["idot_radps"], cuc_rad=v["cuc_rad"], cus_rad=v["cus_rad"], crc_m=v["crc_m"], crs_m=v["crs_m"],
+        cic_rad=v["cic_rad"], cis_rad=v["cis_rad"], af0_s=v["af0_s"], af1=v["af1"], af2=v["af2"], group_delay_s=group_delay_s,
+    )  # fmt: skip
+
+
+def _near_end_of_week(toe: GpsTime, clock: GpsTime | None) -> GpsTime:
+    """Return toe in the next or last week if that brings it within hours of the clock, which it was not."""
+    if clock is None:
+        return toe
+    near = nearest_week(toe.tow_s, clock)
+    return near if abs(near - clock) < _SHIFT_WINDOW_S and abs(near.week - toe.week) == 1 else toe
+
+
+def _transmitted(toe: GpsTime, clock: GpsTime | None) -> GpsTime:
+    return clock if clock is not None and abs(clock - toe) < _SHIFT_WINDOW_S else toe
+
+
+def _decode_glonass(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+    """Times of day are UTC + 3 h; the date is that of the clock, or N4 and NT where they are sent (GLONASS ICD 5.1, 4.4)."""
+    radius2 = sum(v[f"position_{axis}_m"] ** 2 for axis in "xyz")
+    if not 1 <= v["slot"] <= 27 or v["tb_s"] > SECONDS_PER_DAY or not 2.0e7**2 < radius2 < 3.2e7**2:
+        return "satellite, time or position out of range"
+    toe = _glonass_time(v["tb_s"], v, clock)
+    if toe is None:
+        return "date unknown"
+    tk_s = v["tk_hours"] * 3600.0 + v["tk_minutes"] * 60.0 + v["tk_half_minutes"] * 30.0
+    is_m = v["m"] > 0
+    return GlonassEphemeris(
+        satellite=GLONASS * SATELLITES_PER_SYSTEM + int(v["slot"]), channel=int(v["channel"]) - 7 if v["channel"] <= 20 else NO_CHANNEL,
+        iode=int(v["tb_s"] / 900.0), toe=toe, transmitted=_near_time_of_day(tk_s - v["tb_s"] + toe.tow_s, toe),
+        health=int(v["bn_msb"]),  # not ln: some receivers send junk in DF123
+        accuracy_m=accuracy_m(GLONASS_FT_M, int(v["ft"])) if is_m else _GLONASS_ACCURACY_M, age_days=int(v["age_days"]),
+        position_m=(v["position_x_m"], v["position_y_m"], v["position_z_m"]),
+        velocity_mps=(v["velocity_x_mps"], v["velocity_y_mps"], v["velocity_z_mps"]),
+        acceleration_mps2=(v["acceleration_x_mps2"], v["acceleration_y_mps2"], v["acceleration_z_mps2"]),
+        tau_s=-v["tau_n_s"] + 0.0, gamma=v["gamma"], group_delay_s=v["delta_tau_n_s"] if is_m else 0.0,
+    )  # fmt: skip
+
+
+def _glonass_time(time_of_day_s: float, v: Mapping[str, float], clock: GpsTime | None) -> GpsTime | None:
+    """Return the instant of a Moscow time of day: on the sent date unless the clock is more than two days from it.
+
+    N4 is often zero, and sometimes junk; then the clock tells the four-year period.
+    """
+    sent = _sent_date(time_of_day_s, v, int(v["n4"]))
+    if clock is None:
+        return sent if sent is not None and v["n4"] >= _FIRST_PERIOD else None
+    if sent is None or abs(sent - clock) > _SURE_S:
+        sent = _sent_date(time_of_day_s, v, (clock.to_utc().year - 1996) // 4 + 1)
+    if sent is not None and abs(sent - clock) < _SURE_S:
+        return _near_midnight(sent, clock)
+    return _near_time_of_day(time_of_day_s - 10800.0 + gps_minus_utc_s(clock), clock)
+
+
+def _sent_date(time_of_day_s: float, v: Mapping[str, float], n4: int) -> GpsTime | None:
+    """Return the instant of a Moscow time of day on day NT of the four-year period ``n4`` (from 1 in 1996)."""
+    if not (n4 and v["m"] and 1 <= v["nt_days"] <= 1461):
+        return None
+    date = datetime(1996 + 4 * (n4 - 1), 1, 1, tzinfo=UTC) + timedelta(days=v["nt_days"] - 1.0)
+    return GpsTime.from_utc(date + timedelta(seconds=time_of_day_s - 10800.0))
+
+
+def _near_midnight(sent: GpsTime, clock: GpsTime) -> GpsTime:
+    """Return the sent instant, on the neighbouring day if that is within hours of the clock, which it was not."""
+    near = _near_time_of_day(sent.tow_s, clock)
+    return near if abs(near - clock) < SECONDS_PER_DAY / 4.0 else sent
+
+
+def _near_time_of_day(tow_s: float, near: GpsTime) -> GpsTime:
+    """Return the instant nearest to ``near`` that is a whole number of days from ``tow_s``."""
+    time = nearest_week(tow_s, near)
+    return time + SECONDS_PER_DAY * round((near - time) / SECONDS_PER_DAY)
+
+
+_DECODERS: Final[dict[int, Callable[[dict[str, float], GpsTime | None], Ephemeris | str]]] = {
+    1019: _decode_gps,
+    1020: _decode_glonass,
+    1042: _decode_beidou,
+    1044: _decode_qzss,
+    1045: _decode_fnav,
+    1046: _decode_inav,
+}
+
+
+def ephemeris_payload(ephemeris: Ephemeris) -> bytes:
+    """Return the payload of an ephemeris' message; ValueError if a value does not fit its field or the system has no message."""
+    number, values = _glonass_values(ephemeris) if isinstance(ephemeris, GlonassEphemeris) else _kepler_values(ephemeris)
+    layout = LAYOUTS[number]
+    fill = -layout.bits % 8
+    return (layout.write({"number": float(number), **values}) << fill).to_bytes((layout.bits + fill) // 8, "big")
+
+
+def _kepler_values(e: KeplerEphemeris) -> tuple[int, dict[str, float]]:
+    number = _number_of(e)
+    shift_s = -BDT_MINUS_GPST_S if number == 1042 else 0.0
+    values: dict[str, float] = {field.name: getattr(e, field.name) for field in LAYOUTS[number].fields if hasattr(e, field.name)}
+    toe, toc = e.toe + -shift_s, e.toc + -shift_s
+    values |= {"slot": e.satellite % SATELLITES_PER_SYSTEM, "toe_s": toe.tow_s, "toc_s": toc.tow_s}
+    match number:
+        case 1042:
+            values |= {"week": (toe.week - BDT_WEEK_OFFSET) % 8192, "health": min(e.health, 1)}
+            values |= {"tgd1_s": e.group_delay_s[0], "tgd2_s": e.group_delay_s[1], "accuracy": accuracy_index(URA_M, e.accuracy_m)}
+        case 1045 | 1046:
+            values |= {"week": (toe.week - GST_WEEK_OFFSET) % 4096, "bgd_e5a_s": e.group_delay_s[0], "bgd_e5b_s": e.group_delay_s[1]}
+            index = accuracy_index(SISA_M, e.accuracy_m)
+            values |= {"accuracy": index if index < len(SISA_M) else _NO_SISA}
+            values |= {"health_e5a": e.health >> 4 & 3, "invalid_e5a": e.health >> 3 & 1, "health_e5b": e.health >> 7 & 3}
+            values |= {"invalid_e5b": e.health >> 6 & 1, "health_e1b": e.health >> 1 & 3, "invalid_e1b": e.health & 1}
+        case _:
+            values |= {"week": toe.week % 1024, "tgd_s": e.group_delay_s[0], "accuracy": accuracy_index(URA_M, e.accuracy_m)}
+            values |= {"fit": int(e.fit_s > GPS_FIT_S)}
+    return number, values
+
+
+def _number_of(e: KeplerEphemeris) -> int:
+    system = e.satellite // SATELLITES_PER_SYSTEM
+    if system == GALILEO:
+        return 1045 if e.message is NavigationMessage.FNAV else 1046
+    try:
+        return {GPS: 1019, QZSS: 1044, BEIDOU: 1042}[system]
+    except KeyError:
+        raise ValueError(f"no RTCM 3 ephemeris message for system {system}") from None
+
+
+def _glonass_values(e: GlonassEphemeris) -> tuple[int, dict[str, float]]:
+    moscow = e.toe.to_utc() + timedelta(hours=3)
+    sent = e.transmitted.to_utc() + timedelta(hours=3)
+    midnight = moscow.replace(hour=0, minute=0, second=0, microsecond=0)
+    period = (moscow.year - 1996) // 4
+    values: dict[str, float] = {
+        "slot": e.satellite % SATELLITES_PER_SYSTEM, "channel": e.channel + 7, "almanac_health": 1, "almanac_health_available": 1,
+        "tk_hours": sent.hour, "tk_minutes": sent.minute, "tk_half_minutes": sent.second // 30,
+        "bn_msb": e.health & 1, "ln_3": e.health >> 1 & 1, "tb_s": (moscow - midnight).total_seconds(), "gamma": e.gamma,
+        "tau_n_s": -e.tau_s, "delta_tau_n_s": e.group_delay_s, "age_days": e.age_days, "ft": accuracy_index(GLONASS_FT_M, e.accuracy_m),
+        "m": 1, "n4": period + 1, "nt_days": (midnight - datetime(1996 + 4 * period, 1, 1, tzinfo=UTC)).days + 1,
+    }  # fmt: skip
+    for k, axis in enumerate("xyz"):
+        values |= {f"position_{axis}_m": e.position_m[k], f"velocity_{axis}_mps": e.velocity_mps[k]}
+        values |= {f"acceleration_{axis}_mps2": e.acceleration_mps2[k]}
+    return 1020, values

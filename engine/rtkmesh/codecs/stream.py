@@ -1,0 +1,211 @@
+"""One receiver's byte stream to messages: framing, all decoders, and one timeline of epochs.
+
+Epochs leave in rising order of time. A stream may carry the same observations as UBX and as RTCM 3 (a base that logs what it
+sends): then only one of the two is used, because their time tags differ by milliseconds and their phases by integers and a clock
+term, so that every change from one to the other breaks all ambiguities.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+
+from rtkmesh.codecs.framing import FRAMED, Framer
+from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message, Protocol
+from rtkmesh.codecs.nmea import NmeaDecoder
+from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
+from rtkmesh.codecs.ubx import UbxDecoder
+from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix
+from rtkmesh.gnss.epoch import SLIP, Epoch
+from rtkmesh.gnss.time import GpsTime
+
+
+class ObservationSource(StrEnum):
+    """Which protocol's observations of a mixed stream are used."""
+
+    AUTO = "auto"
+    UBX = "ubx"
+    RTCM3 = "rtcm3"
+
+
+@dataclass(frozen=True, slots=True)
+class StreamOptions:
+    """Options of a stream decoder.
+
+    ``approximate_time`` (within three days of the first epoch) settles weeks until the stream does it itself.
+    """
+
+    protocols: Collection[Protocol] = FRAMED
+    observations: ObservationSource | str = ObservationSource.AUTO
+    approximate_time: GpsTime | None = None
+
+
+_SAME_EPOCH_S: Final = 5e-4  # epochs of one protocol that are closer than this are the same
+_NEW_TIMELINE: Final = 5  # so many rising epochs in the past mean that the clock was set back, not that they are late
+_LEAD_TO_SWITCH: Final = 30  # so many epochs must the other protocol have delivered more before it is taken instead
+_TELL_TIME_S: Final = 3600.0
+
+
+class Timeline:
+    """Decides which epochs of the protocols of one stream are passed on."""
+
+    def __init__(self, source: ObservationSource) -> None:
+        self._fixed = None if source is ObservationSource.AUTO else Protocol(source.value)
+        self._chosen = self._fixed
+        self._lead = 0  # epochs of other protocols minus epochs of the chosen one
+        self._last: GpsTime | None = None
+        self._past: list[GpsTime] = []
+
+    def refusal(self, epoch: Epoch, protocol: Protocol) -> str:
+        """Return why an epoch is not passed on, or nothing."""
+        if self._chosen is None:
+            self._chosen = protocol
+        if protocol is not self._chosen:
+            return "other source"
+        if self._last is None or epoch.time - self._last >= _SAME_EPOCH_S:
+            self._past.clear()
+        elif not self._clock_was_set_back(epoch.time):
+            return "repeated" if abs(epoch.time - self._last) < _SAME_EPOCH_S else "out of order"
+        self._last = epoch.time
+        return ""
+
+    def switches(self, protocol: Protocol) -> bool:
+        """Count an epoch of a protocol; return whether it becomes the chosen one with it.
+
+        The protocol that delivers more wins: of a damaged log, or when a receiver is told to send the other one.
+        """
+        if self._fixed or self._chosen is None:
+            return False
+        self._lead = max(self._lead + 1, 0) if protocol is not self._chosen else max(self._lead - 1, 0)
+        if self._lead < _LEAD_TO_SWITCH:
+            return False
+        self._chosen, self._lead = protocol, 0
+        return True
+
+    def _clock_was_set_back(self, time: GpsTime) -> bool:
+        if self._past and time - self._past[-1] < _SAME_EPOCH_S:
+            self._past.clear()
+        self._past.append(time)
+        if len(self._past) < _NEW_TIMELINE:
+            return False
+        self._past.clear()
+        return True
+
+
+class StreamDecoder:
+    """Decodes the bytes of one receiver."""
+
+    def __init__(self, options: StreamOptions | None = None) -> None:
+        options = options or StreamOptions()
+        self._framer = Framer(options.protocols)
+        self._ubx = UbxDecoder(options.approximate_time)
+        self._rtcm3 = Rtcm3Decoder(options.approximate_time)
+        self._nmea = NmeaDecoder(options.approximate_time)
+        self._timeline = Timeline(ObservationSource(options.observations))
+        self._told: GpsTime | None = None
+        self._published: dict[tuple[int, int], tuple[object, ...]] = {}
+        self._latest: dict[tuple[type, object], Message] = {}
+        self._dropped = DecodingCounters()
+
+    @property
+    def framing(self) -> FramingCounters:
+        """What the framer saw."""
+        return self._framer.counters
+
+    @property
+    def decoding(self) -> DecodingCounters:
+        """What the decoders saw, all together; ``epochs`` are those passed on."""
+        total = DecodingCounters(epochs=self._dropped.epochs)
+        for counters in (self._ubx.counters, self._rtcm3.counters, self._nmea.counters, self._dropped):
+            total.decoded.update(counters.decoded)
+            total.ignored.update(counters.ignored)
+            total.rejected.update(counters.rejected)
+        return total
+
+    @property
+    def clock_resets(self) -> int:
+        """How often the receiver said that it had reset its clock."""
+        return self._ubx.clock_resets
+
+    @property
+    def pending(self) -> int:
+        """Number of bytes held back until it is known what they are."""
+        return self._framer.pending
+
+    def feed(self, data: bytes) -> list[tuple[Frame, list[Message]]]:
+        """Return the frames that are whole with these further bytes, each with the messages that it completes."""
+        return [(frame, self._decode(frame)) for frame in self._framer.feed(data)]
+
+    def flush(self) -> list[Message]:
+        """End the stream: return what was still waiting."""
+        messages = [message for frame in self._framer.flush() for message in self._decode(frame)]
+        return messages + self._pass_on(self._rtcm3.flush(), Protocol.RTCM3)
+
+    def _decode(self, frame: Frame) -> list[Message]:
+        if frame.protocol is Protocol.UBX:
+            messages = self._ubx.decode(frame)
+        elif frame.protocol is Protocol.RTCM3:
+            messages = self._rtcm3.decode(frame)
+        else:
+            messages = self._nmea.decode(frame)
+        return self._pass_on(messages, frame.protocol) if messages else messages
+
+    def _pass_on(self, messages: list[Message], protocol: Protocol) -> list[Message]:
+        passed: list[Message] = []
+        for message in messages:
+            if isinstance(message, Epoch):
+                passed += self._epoch(message, protocol)
+            elif isinstance(message, ReceiverFix):
+                if message.time is not None:
+                    self._tell_time(message.time)
+                passed.append(message)
+            elif self._is_new(message):
+                passed.append(message)
+        return passed
+
+    def _epoch(self, epoch: Epoch, protocol: Protocol) -> list[Epoch]:
+        if protocol is Protocol.UBX:
+            self._tell_time(epoch.time)
+        switched = self._timeline.switches(protocol)
+        refusal = self._timeline.refusal(epoch, protocol)
+        if refusal:
+            self._dropped.rejected[f"{protocol} epoch {refusal}"] += 1
+            return []
+        self._dropped.epochs += 1
+        return [_with_all_slipped(epoch) if switched else epoch]
+
+    def _tell_time(self, time: GpsTime) -> None:
+        if self._told is None or abs(time - self._told) > _TELL_TIME_S:
+            self._told = time
+            self._rtcm3.set_approximate_time(time)
+
+    def _is_new(self, message: Message) -> bool:
+        """Return whether a message says something that the stream has not said before."""
+        if isinstance(message, KeplerEphemeris | GlonassEphemeris):
+            return self._is_new_ephemeris(message)
+        if isinstance(message, KlobucharParameters):
+            key: tuple[type, object] = (KlobucharParameters, message.system)
+        elif isinstance(message, GlonassBias):
+            key = (GlonassBias, message.station_id)
+        else:
+            return True
+        if self._latest.get(key) == message:
+            return False
+        self._latest[key] = message
+        return True
+
+    def _is_new_ephemeris(self, e: KeplerEphemeris | GlonassEphemeris) -> bool:
+        if isinstance(e, GlonassEphemeris):
+            key, identity = (e.satellite, 0), (e.iode, e.toe, e.health, e.tau_s, e.channel)
+        else:
+            key, identity = (e.satellite, int(e.message)), (e.iode, e.iodc, e.toe, e.toc, e.health, e.af0_s)
+        if self._published.get(key) == identity:
+            return False
+        self._published[key] = identity
+        return True
+
+
+def _with_all_slipped(epoch: Epoch) -> Epoch:
+    return replace(epoch, flags=np.where(np.isfinite(epoch.phase_cyc), epoch.flags | SLIP, epoch.flags).astype(np.uint8))

@@ -1,0 +1,362 @@
+"""The RTK engine: one epoch of rover and base in, one solution out.
+
+``Rtk.step`` is the page of named steps; each step is a module beside this one.
+"""
+
+from dataclasses import replace
+from math import nan, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.frames import enu_from_ecef_at
+from rtkmesh.gnss.signals import BEIDOU, GLONASS, SBAS
+from rtkmesh.models.atmosphere import klobuchar_vector
+from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.models.single import SinglePoint, SinglePointOptions, single_point
+from rtkmesh.rtk.ambiguity import add_constraints
+from rtkmesh.rtk.filter import OK, posterior, predict_motion, reset_state
+from rtkmesh.rtk.matching import Matcher
+from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, CodeScale
+from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
+from rtkmesh.rtk.report import Outcome, from_single, report
+from rtkmesh.rtk.residuals import CODE, PHASE, WAVELENGTH, Conditions, Differences, observe
+from rtkmesh.rtk.slips import KNOWN_SLIP, LOST, find_slips
+from rtkmesh.rtk.solution import Reason, Solution
+from rtkmesh.rtk.state import (
+    ARC_EPOCHS, ARC_S, BASE_LOCK_S, BASE_M, BASE_S, INTEGER, ISSUE, REJECTS, ROVER_LOCK_S, ROVER_M, ROVER_S, SEEN_S, SLIPS,
+    FIRST_PAIR_KEY, ZENITH_KEY, FilterState,
+)  # fmt: skip
+from rtkmesh.rtk.update import Layout, Update, update
+from rtkmesh.rtk.validation import Candidates, Resolution, Validation
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_DECAY_S: Final = 5.0  # accelerations of robots last seconds
+_RESEED_S: Final = 4.0  # beyond this gap the motion model says nothing and the single-point position takes over
+_FORGET_S: Final = 65.0  # beyond this gap nothing is left
+_SEED_SIGMA_M: Final = 30.0
+_SEED_SPEED_MPS: Final = 10.0
+_SEED_ACCELERATION_MPS2: Final = 3.0
+_AMBIGUITY_SIGMA_CYC: Final = 100.0
+_GLONASS_SIGMA_CYC: Final = 20.0  # wavelengths differ by channel: the common part of the ambiguities must be known to some metres
+_KNOWN_SLIP_SIGMA_CYC: Final = 0.2
+_CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath (algorithms.md finding 9; MEO geometry at walking speed to static)
+_CODE_RAMP = 1e9
+_LONG_BASELINE_M: Final = 8000.0  # from here on the ionosphere is a state per satellite
+_IONOSPHERE_SIGMA_PPM: Final = 1.5e-6
+_IONOSPHERE_WALK_PPM: Final = 0.04e-6  # per square root of second
+_ZENITH_SIGMA_M: Final = 0.03
+_ZENITH_WALK_M: Final = 1e-4  # per square root of second
+_FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
+
+
+class Rtk:
+    """The engine of one rover and one base. Mutable; everything else in the package is a value."""
+
+    def __init__(self, options: RtkOptions) -> None:
+        self.options = options
+        self._matcher = Matcher(options.systems, options.frequencies, options.excluded, options.cn0_mask_dbhz)
+        self._state: FilterState | None = None
+        self._scale = CodeScale()
+        self._validation = Validation(options.ambiguity)
+        self._resets = 0
+        self._was_fixed = False
+        self._base_s = nan
+
+    def reset(self) -> None:
+        """Forget the filter; what was learned of the code's noise stays."""
+        if self._state is not None:
+            self._resets += 1
+        self._state = None
+        self._validation.reset()
+
+    def step(
+        self,
+        rover: Epoch,
+        base: Epoch | None,
+        ephemerides: EphemerisTable,
+        klobuchar: KlobucharParameters | None = None,
+        *,
+        base_position_ecef_m: Vector | None = None,
+        glonass_bias: GlonassBias | None = None,
+    ) -> Solution:
+        """Return the solution of a rover epoch with its base epoch (the same or an older one; None if there is none).
+
+        ``base_position_ecef_m`` is the antenna of the base (not needed in moving-base mode). ``glonass_bias`` is accepted for
+        completeness: a code bias that all channels share is part of the group's clock.
+        """
+        single = single_point(rover, ephemerides, self._single_options(klobuchar), self._start())
+        solution = from_single(rover, base, single)
+        if self.options.mode is Mode.SINGLE:
+            return solution
+        base_single = None
+        if base is not None and self.options.mode is Mode.MOVING_BASE:
+            base_single = single_point(base, ephemerides, self._single_options(klobuchar), base_position_ecef_m)
+            base_position_ecef_m = base_single.position_ecef_m if base_single.ok else None
+        reason = self._obstacle(rover, base, base_position_ecef_m)
+        if reason is not Reason.OK or base is None or base_position_ecef_m is None:
+            return replace(solution, reason=reason)
+        state = self._seeded(rover, single, base_position_ecef_m)
+        if state is None:
+            return solution
+        return self._relative(state, solution, rover, base, ephemerides, klobuchar, (single, base_single))
+
+    # --- where the filter starts and how it moves on ---
+
+    def _start(self) -> Vector | None:
+        return None if self._state is None else self._state.base_ecef_m + self._state.x[:3]
+
+    def _single_options(self, klobuchar: KlobucharParameters | None) -> SinglePointOptions:
+        o = self.options
+        return SinglePointOptions(
+            systems=o.systems, elevation_mask_rad=min(o.elevation_mask_rad, 0.175), cn0_mask_dbhz=o.cn0_mask_dbhz, klobuchar=klobuchar,
+            excluded=o.excluded,
+        )  # fmt: skip
+
+    def _obstacle(self, rover: Epoch, base: Epoch | None, base_position_ecef_m: Vector | None) -> Reason:
+        """Return why there can be no relative solution."""
+        if base is None:
+            return Reason.NO_BASE
+        limit = self.options.time_tolerance_s if self.options.mode is Mode.MOVING_BASE else self.options.max_age_s
+        if abs(rover.time - base.time) > limit:
+            return Reason.BASE_TOO_OLD
+        if base_position_ecef_m is None or not np.isfinite(base_position_ecef_m).all():
+            return Reason.NO_BASE_POSITION
+        return Reason.OK
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the rover (or the baseline) moves."""
+        if self.options.mode is Mode.STATIC_START:
+            return self._was_fixed
+        return self.options.mode in (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.DGPS)
+
+    def _seeded(self, rover: Epoch, single: SinglePoint, base_ecef_m: Vector) -> FilterState | None:
+        """Return the state at the rover's epoch: moved on, or begun anew; None if there is nothing to begin with."""
+        state = self._state
+        if state is not None and not 0.0 <= (rover.time - state.origin) - state.time_s <= _FORGET_S:
+            self.reset()
+        elif state is not None:
+            self._advance(state, rover.time - state.origin, single)
+            if not state.finite or self._astray(state, single):
+                self.reset()
+        state = self._state
+        if state is None:
+            if not single.ok and self.options.mode is not Mode.FIXED:
+                return None
+            state = self._state = FilterState(rover.time, 9, np.zeros(9), np.zeros((9, 9)))
+            state.base_ecef_m = base_ecef_m.copy()
+            self._seed(state, single)
+        shift = base_ecef_m - state.base_ecef_m
+        if np.any(shift != 0.0):
+            if self.options.mode is not Mode.MOVING_BASE:
+                state.x[:3] -= shift
+            state.base_ecef_m = base_ecef_m.copy()
+            state.base_s = nan
+        return state
+
+    def _seed(self, state: FilterState, single: SinglePoint) -> None:
+        """Begin the dynamic states anew from the single-point position; the keyed states stay."""
+        moving = self._moves
+        fixed = self.options.fixed_position_ecef_m if self.options.mode is Mode.FIXED else None
+        start = single.position_ecef_m if fixed is None else np.array(fixed)
+        for i in range(9):
+            sigma = (_SEED_SIGMA_M, _SEED_SPEED_MPS, _SEED_ACCELERATION_MPS2)[i // 3] if moving or i < 3 else 1e-6
+            reset_state(state.x, state.P, i, 0.0, sigma**2 if fixed is None or i >= 3 else 1e-8)
+        state.x[:3] = start - state.base_ecef_m
+
+    def _advance(self, state: FilterState, time_s: float, single: SinglePoint) -> None:
+        """Move the state on to ``time_s``."""
+        dt = time_s - state.time_s
+        state.time_s = time_s
+        if self._moves:
+            if dt > _RESEED_S and single.ok:
+                self._seed(state, single)
+            else:
+                if state.P[3, 3] < 1e-9:  # static until now
+                    for i in range(3, 9):
+                        reset_state(state.x, state.P, i, 0.0, (_SEED_SPEED_MPS if i < 6 else _SEED_ACCELERATION_MPS2) ** 2)
+                predict_motion(state.x, state.P, dt, _DECAY_S, self._motion_noise(state))
+        first = state.dynamic + int(np.searchsorted(state.keys, FIRST_PAIR_KEY))
+        diagonal = np.einsum("ii->i", state.P)
+        diagonal[first:] += self.options.dynamics.ambiguity_cyc**2 * dt
+        length = float(np.linalg.norm(state.x[:3]))
+        diagonal[state.dynamic : first] += (_IONOSPHERE_WALK_PPM * length) ** 2 * dt
+        if len(state.keys) and state.keys[0] == ZENITH_KEY:
+            diagonal[state.dynamic] += _ZENITH_WALK_M**2 * dt - (_IONOSPHERE_WALK_PPM * length) ** 2 * dt
+
+    def _motion_noise(self, state: FilterState) -> Matrix:
+        """Return the spectral density of the jerk (ECEF)."""
+        o = self.options.dynamics
+        turn = enu_from_ecef_at(state.base_ecef_m + state.x[:3])
+        h, v = o.acceleration_horizontal_mps2**2, o.acceleration_vertical_mps2**2
+        return (turn.T * np.array((h, h, v))) @ turn
+
+    def _astray(self, state: FilterState, single: SinglePoint) -> bool:
+        if not single.ok or self.options.mode is Mode.FIXED:
+            return False
+        gap = np.linalg.norm(state.base_ecef_m + state.x[:3] - single.position_ecef_m)
+        return bool(gap > _FAR_M + 5.0 * sqrt(np.trace(single.position_cov_ecef_m2)))
+
+    # --- one relative solution ---
+
+    def _relative(
+        self, state: FilterState, solution: Solution, rover: Epoch, base: Epoch, table: EphemerisTable,
+        klobuchar: KlobucharParameters | None, singles: tuple[SinglePoint, SinglePoint | None],
+    ) -> Solution:  # fmt: skip
+        pairs = self._matcher.match(rover, base)
+        model_ecef_m = state.base_ecef_m + state.x[:3]
+        age_s = rover.time - base.time
+        differences = observe(
+            rover, base, pairs, table, klobuchar_vector(klobuchar), model_ecef_m, state.base_ecef_m, self._conditions(state, age_s)
+        )
+        if len(np.unique(pairs.satellite[np.isfinite(differences.table[:, CODE])])) < 4:
+            return replace(solution, reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
+        self._base_s = base.time - state.origin
+        layout = self._lay_out(state, differences)
+        outcome = update(state, differences, layout, self._scale, self._velocity(singles))
+        if not outcome.ok or not state.finite:
+            self.reset()
+            return replace(solution, reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
+        self._remember(state, differences, layout, outcome, model_ecef_m)
+        candidates = self._candidates(state, differences, layout, outcome)
+        resolution = self._validation.resolve(state, candidates)
+        self._hold(state, resolution)
+        self._was_fixed = self._was_fixed or resolution.x is not None
+        epoch = Outcome(differences, layout, outcome, resolution, age_s, self._moves, singles[1])
+        return replace(report(solution, state, epoch), resets=self._resets)
+
+    def _conditions(self, state: FilterState, age_s: float) -> Conditions:
+        o = self.options
+        length = float(np.linalg.norm(state.x[:3]))
+        common = (CLOCK_DRIFT_MPS * age_s) ** 2 + (o.noise.ephemeris_m_per_m * length) ** 2
+        if length < _LONG_BASELINE_M:
+            common += (IONOSPHERE_PPM * length) ** 2
+        noise = np.array((o.noise.phase_a_m, o.noise.phase_b_m, o.noise.code_ratio, common))
+        return Conditions(noise, o.elevation_mask_rad)
+
+    def _velocity(self, singles: tuple[SinglePoint, SinglePoint | None]) -> tuple[Vector, Matrix] | None:
+        """Return the Doppler velocity relative to the base, with its covariance."""
+        rover, base = singles
+        if not self._moves or not rover.has_velocity:
+            return None
+        if self.options.mode is not Mode.MOVING_BASE:
+            return rover.velocity_ecef_mps, rover.velocity_cov_ecef_m2ps2
+        if base is None or not base.has_velocity:
+            return None
+        return rover.velocity_ecef_mps - base.velocity_ecef_mps, rover.velocity_cov_ecef_m2ps2 + base.velocity_cov_ecef_m2ps2
+
+    def _lay_out(self, state: FilterState, differences: Differences) -> Layout:
+        """Give every pair its states; deal with slips; begin new states."""
+        pairs, table = differences.pairs, differences.table
+        phase = np.isfinite(table[:, PHASE]) & (self.options.mode is not Mode.DGPS)
+        keys = [pairs.key[phase]]
+        long = float(np.linalg.norm(state.x[:3])) > _LONG_BASELINE_M
+        satellites = np.unique(pairs.satellite[np.isfinite(table[:, CODE])]).astype(np.int64)
+        if long:
+            keys = [np.zeros(1, np.int64), satellites, *keys]
+        dt = state.time_s - state.rover_s
+        state.use_keys(np.unique(np.concatenate(keys)), max(self.options.slip.maximum_gap_s, 2.5 * dt if dt == dt else 0.0))
+        ambiguity = np.full(len(pairs), -1, np.int64)
+        ambiguity[phase] = state.place(pairs.key[phase])
+        ionosphere = np.full(len(pairs), -1, np.int64)
+        if long:
+            ionosphere = np.minimum(np.searchsorted(state.keys, pairs.satellite), len(state.keys) - 1)
+            ionosphere[state.keys[ionosphere] != pairs.satellite] = -1
+            self._begin_atmosphere(state)
+        self._slips(state, differences, phase, ambiguity[phase])
+        self._begin_ambiguities(state, differences, np.flatnonzero(phase), ambiguity[phase])
+        inflation = np.ones(len(pairs))
+        if dt == dt:
+            age = np.maximum(state.history[ambiguity[phase], ARC_EPOCHS], 0.0)
+            inflation[phase] = np.minimum(1.0 + _CODE_RAMP * age, max(1.0, 2.0 * _CODE_MEMORY_S / max(dt, 1e-3)))
+        return Layout(ambiguity, ionosphere.astype(np.int64), 0 if long else -1, inflation)
+
+    def _begin_atmosphere(self, state: FilterState) -> None:
+        length = float(np.linalg.norm(state.x[:3]))
+        for i in np.flatnonzero((state.keys < FIRST_PAIR_KEY) & (state.history[:, ARC_EPOCHS] < 0.0)).tolist():
+            sigma = _ZENITH_SIGMA_M if state.keys[i] == ZENITH_KEY else _IONOSPHERE_SIGMA_PPM * length
+            reset_state(state.x, state.P, state.dynamic + i, 0.0, sigma**2)
+            state.history[i, ARC_EPOCHS] = 0.0
+        state.history[state.keys < FIRST_PAIR_KEY, SEEN_S] = state.time_s
+
+    def _slips(self, state: FilterState, differences: Differences, phase: NDArray[np.bool_], place: Indices) -> None:
+        """Find slips; a jump of known size moves its ambiguity, one of unknown size begins it anew."""
+        n = len(place)
+        slip, jump, motion, motion_cov = np.zeros(n, np.int64), np.zeros(n), np.zeros(3), np.zeros((3, 3))
+        times = np.array((state.time_s, self._base_s, state.rover_s, state.base_s))
+        setup = np.array((
+            self.options.slip.time_difference_cyc, self.options.slip.maximum_gap_s, float(self.options.mode is Mode.MOVING_BASE)
+        ))  # fmt: skip
+        find_slips(
+            differences.table[phase], state.history, place, differences.issue[phase], differences.flagged[phase], differences.lock_s[phase],
+            differences.rover_direction[phase], differences.base_direction[phase], times, setup, slip, jump, motion, motion_cov,
+        )  # fmt: skip
+        known = state.history[place, ARC_EPOCHS] >= 0.0
+        again = known & (state.history[place, REJECTS] >= 2.0)
+        for k in np.flatnonzero(known & ((slip != 0) | again)).tolist():
+            row = state.history[place[k]]
+            row[SLIPS] += 1.0
+            row[INTEGER] = nan
+            row[REJECTS] = 0.0
+            if slip[k] == KNOWN_SLIP and not again[k]:
+                i = state.dynamic + place[k]
+                state.x[i] += jump[k]
+                state.P[i, i] += _KNOWN_SLIP_SIGMA_CYC**2
+                row[ARC_EPOCHS], row[ARC_S] = 0.0, state.time_s
+            else:
+                row[ARC_EPOCHS] = -1.0
+
+    def _begin_ambiguities(self, state: FilterState, differences: Differences, index: Indices, place: Indices) -> None:
+        table = differences.table
+        for k, i in zip(index.tolist(), place.tolist(), strict=True):
+            if state.history[i, ARC_EPOCHS] >= 0.0:
+                continue
+            glonass = differences.pairs.satellite[k] // 64 == 1
+            value = (table[k, PHASE] - table[k, CODE]) / table[k, WAVELENGTH]
+            sigma = _GLONASS_SIGMA_CYC if glonass else _AMBIGUITY_SIGMA_CYC
+            reset_state(state.x, state.P, state.dynamic + i, value, sigma**2)
+            state.history[i, ARC_EPOCHS], state.history[i, ARC_S], state.history[i, INTEGER] = 0.0, state.time_s, nan
+
+    def _remember(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update, model_ecef_m: Vector) -> None:
+        """Write the history of this epoch."""
+        seen = layout.ambiguity >= 0
+        place, history = layout.ambiguity[seen], state.history
+        history[place, SEEN_S] = state.time_s
+        history[place, ROVER_S], history[place, BASE_S] = state.time_s, self._base_s
+        history[place, ROVER_M], history[place, BASE_M] = differences.table[seen][:, 2], differences.table[seen][:, 3]
+        history[place, ROVER_LOCK_S], history[place, BASE_LOCK_S] = differences.lock_s[seen].T
+        history[place, ISSUE] = differences.issue[seen]
+        history[place, ARC_EPOCHS] += 1.0
+        history[place, REJECTS] = np.where(outcome.phase_used[seen], 0.0, history[place, REJECTS] + 1.0)
+        state.rover_s, state.base_s = state.time_s, self._base_s
+        state.rover_model_ecef_m = model_ecef_m
+
+    def _candidates(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update) -> Candidates:
+        """Return the ambiguities of this epoch that may become integers."""
+        o, pairs = self.options.ambiguity, differences.pairs
+        system, number = pairs.satellite // 64, pairs.satellite % 64
+        geostationary = (system == BEIDOU) & ((number <= 5) | (number >= 59))
+        elevation = differences.table[:, 9]
+        usable = outcome.phase_used & (layout.ambiguity >= 0) & ~geostationary & (system != GLONASS) & (system != SBAS)
+        usable &= elevation >= o.elevation_mask_rad
+        usable[usable] = state.history[layout.ambiguity[usable], ARC_EPOCHS] > o.minimum_lock_epochs
+        place = layout.ambiguity[usable]
+        return Candidates(place, pairs.group[usable], pairs.satellite[usable].astype(np.int64), elevation[usable])
+
+    def _hold(self, state: FilterState, resolution: Resolution) -> None:
+        """In fix-and-hold, tell the filter of integers that have proven themselves (softly, so that it can still object)."""
+        o = self.options.ambiguity
+        if o.mode is not AmbiguityMode.FIX_AND_HOLD or resolution.pairs is None or resolution.integers is None or resolution.grade < 3:
+            return
+        n = len(state.x)
+        N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
+        add_constraints(resolution.pairs, state.x, resolution.integers, o.hold_variance_cyc2, N, b)
+        if posterior(state.P, N, b, P, dx) == OK:
+            state.x, state.P = state.x + dx, P

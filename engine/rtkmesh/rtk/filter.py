@@ -1,0 +1,327 @@
+"""The filter of single differences: time update, measurement update, bookkeeping of its states.
+
+State: baseline (m, ECEF), in moving modes velocity and acceleration, then one state per *key*, in rising order of keys: 0 the zenith wet delay
+(m), a satellite number its slant ionosphere at L1 (m), a pair's key its single-difference ambiguity (cycles). The receiver clock of each group
+(system, signal pair; code and phase apart) is free in every epoch and is eliminated from the normal equations, so there is no reference
+satellite, and the common part of a group's ambiguities is simply not known.
+
+Measurement update (algorithms.md B2a): with P = U'U the posterior is U' (I + U N U')^-1 U, formed from triangular factors: symmetric and
+positive definite by construction. All matrices are row-major and all inner loops run along rows.
+"""
+
+from math import sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+OK: Final = 0
+NOT_POSITIVE_DEFINITE: Final = 1
+
+# Columns of an observation. Y (m) is observed minus predicted; W is the inverse variance (1/m2, 0: not used); H_X to H_Z, H_ZENITH, H_IONOSPHERE and
+# H_AMBIGUITY are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere and the ambiguity.
+Y, W, H_X, H_Y, H_Z, H_ZENITH, H_IONOSPHERE, H_AMBIGUITY = range(8)
+OBSERVATION: Final = 8
+# Columns of its places: clock group, state of the zenith delay, the ionosphere and the ambiguity (-1: none).
+GROUP, AT_ZENITH, AT_IONOSPHERE, AT_AMBIGUITY = range(4)
+
+
+@kernel
+def merge_keys(old: Indices, keep: NDArray[np.bool_], new: Indices) -> tuple[Indices, Indices]:
+    """Return the sorted union of the kept old keys and the new keys (both sorted), and where in ``old`` each was (-1: nowhere)."""
+    keys, source = np.empty(len(old) + len(new), np.int64), np.empty(len(old) + len(new), np.int64)
+    i, j, n = 0, 0, 0
+    while i < len(old) or j < len(new):
+        if j == len(new) or (i < len(old) and old[i] < new[j]):
+            if keep[i]:
+                keys[n], source[n] = old[i], i
+                n += 1
+            i += 1
+            continue
+        keys[n], source[n] = new[j], -1
+        if i < len(old) and old[i] == new[j]:
+            source[n] = i
+            i += 1
+        j += 1
+        n += 1
+    return keys[:n].copy(), source[:n].copy()
+
+
+@kernel
+def rearrange(x: Vector, P: Matrix, source: Indices, dynamic: int) -> tuple[Vector, Matrix]:
+    """Return state and covariance with the keyed states taken from ``source``; new ones are zero (to be initialised)."""
+    n = dynamic + len(source)
+    x_new, P_new = np.zeros(n), np.zeros((n, n))
+    place = np.empty(n, np.int64)
+    for i in range(n):
+        place[i] = i if i < dynamic else (dynamic + source[i - dynamic] if source[i - dynamic] >= 0 else -1)
+    for i in range(n):
+        if place[i] < 0:
+            continue
+        x_new[i] = x[place[i]]
+        for j in range(n):
+            if place[j] >= 0:
+                P_new[i, j] = P[place[i], place[j]]
+    return x_new, P_new
+
+
+@kernel
+def reset_state(x: Vector, P: Matrix, i: int, value: float, variance: float) -> None:
+    """Forget what is known of state i."""
+    for j in range(len(x)):
+        P[i, j] = 0.0
+        P[j, i] = 0.0
+    x[i], P[i, i] = value, variance
+
+
+@kernel
+def predict_motion(x: Vector, P: Matrix, dt_s: float, decay_s: float, Q: Matrix) -> None:
+    """Move position, velocity and acceleration (states 0 to 8) ahead by ``dt_s``.
+
+    The acceleration decays with ``decay_s`` (Singer 1970, IEEE Trans. AES-6:473, eq. 8) and is driven by white jerk of the spectral density Q (3 x 3,
+    m2/s5, ECEF). The noise is that of a triple integrator: an upper bound, since decay only takes from it.
+    """
+    n = len(x)
+    a = dt_s / decay_s
+    to_velocity = decay_s * (1.0 - np.exp(-a)) if a > 1e-6 else dt_s
+    to_position = decay_s * (dt_s - to_velocity) if a > 1e-3 else 0.5 * dt_s * dt_s
+    keep = np.exp(-a)
+    for i in range(3):
+        x[i] += dt_s * x[3 + i] + to_position * x[6 + i]
+        x[3 + i] += to_velocity * x[6 + i]
+        x[6 + i] *= keep
+        for j in range(n):
+            P[i, j] += dt_s * P[3 + i, j] + to_position * P[6 + i, j]
+            P[3 + i, j] += to_velocity * P[6 + i, j]
+            P[6 + i, j] *= keep
+    for j in range(n):
+        row = P[j]
+        for i in range(3):
+            row[i] += dt_s * row[3 + i] + to_position * row[6 + i]
+            row[3 + i] += to_velocity * row[6 + i]
+            row[6 + i] *= keep
+    t2, t3, t4, t5 = dt_s**2 / 2.0, dt_s**3 / 6.0, dt_s**4 / 8.0, dt_s**5 / 20.0
+    for i in range(3):
+        for j in range(3):
+            q = Q[i, j]
+            P[i, j] += q * t5
+            P[i, 3 + j] += q * t4
+            P[3 + i, j] += q * t4
+            P[i, 6 + j] += q * t3
+            P[6 + i, j] += q * t3
+            P[3 + i, 3 + j] += q * 2.0 * t3
+            P[3 + i, 6 + j] += q * t2
+            P[6 + i, 3 + j] += q * t2
+            P[6 + i, 6 + j] += q * dt_s
+
+
+@kernel
+def _entries(row: Vector, places: Indices, dynamic: int, at: Indices, h: Vector) -> int:
+    """Write the non-zero partial derivatives of one observation and the states they belong to; return how many."""
+    for k in range(3):
+        at[k], h[k] = k, row[H_X + k]
+    count = 3
+    for k in range(3):
+        if places[AT_ZENITH + k] >= 0:
+            at[count], h[count] = dynamic + places[AT_ZENITH + k], row[H_ZENITH + k]
+            count += 1
+    return count
+
+
+@kernel
+def normal_equations(observations: Matrix, places: Indices, dynamic: int, groups: int, N: Matrix, b: Vector, mean: Matrix) -> None:
+    """Write N (n x n) and b (n) of all observations with their group clocks eliminated (Schur complement, one rank per group).
+
+    ``mean`` (groups x (n + 2)) receives per group the weighted mean row, the weighted mean of Y and the sum of weights.
+    """
+    n = len(b)
+    N[:, :] = 0.0
+    b[:] = 0.0
+    mean[:, :] = 0.0
+    at, h = np.empty(6, np.int64), np.empty(6)
+    for k in range(observations.shape[0]):
+        w, y, g = observations[k, W], observations[k, Y], places[k, GROUP]
+        if not w > 0.0:
+            continue
+        count = _entries(observations[k], places[k], dynamic, at, h)
+        for i in range(count):
+            b[at[i]] += w * h[i] * y
+            mean[g, at[i]] += w * h[i]
+            for j in range(count):
+                N[at[i], at[j]] += w * h[i] * h[j]
+        mean[g, n] += w * y
+        mean[g, n + 1] += w
+    for g in range(groups):
+        total = mean[g, n + 1]
+        if not total > 0.0:
+            continue
+        for i in range(n):
+            if mean[g, i] == 0.0:
+                continue
+            factor = mean[g, i] / total
+            b[i] -= factor * mean[g, n]
+            for j in range(n):
+                N[i, j] -= factor * mean[g, j]
+        for i in range(n + 1):
+            mean[g, i] /= total
+
+
+@kernel
+def factor(P: Matrix, U: Matrix) -> int:
+    """Write the upper triangular U with P = U'U."""
+    n = P.shape[0]
+    for i in range(n):
+        for j in range(i):
+            U[i, j] = 0.0
+        for j in range(i, n):
+            U[i, j] = P[i, j]
+    for k in range(n):
+        if not U[k, k] > 0.0:
+            return NOT_POSITIVE_DEFINITE
+        pivot = 1.0 / sqrt(U[k, k])
+        row = U[k]
+        for j in range(k, n):
+            row[j] *= pivot
+        for i in range(k + 1, n):
+            f = row[i]
+            if f != 0.0:
+                target = U[i]
+                for j in range(i, n):
+                    target[j] -= f * row[j]
+    return OK
+
+
+@kernel
+def _inner(U: Matrix, N: Matrix, M: Matrix) -> None:
+    """Write the lower triangle of M = I + U N U' (N symmetric and sparse)."""
+    n = U.shape[0]
+    T = np.zeros((n, n))  # N U' by rows: T[k, :] = sum over j of N[k, j] * (column j of U as a row)
+    columns = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            columns[j, i] = U[i, j]
+    for k in range(n):
+        target = T[k]
+        for j in range(n):
+            f = N[k, j]
+            if f != 0.0:
+                source = columns[j]
+                for i in range(j + 1):
+                    target[i] += f * source[i]
+    for i in range(n):
+        target = M[i]
+        for j in range(n):
+            target[j] = 0.0
+        for k in range(i, n):
+            f = U[i, k]
+            if f != 0.0:
+                source = T[k]
+                for j in range(i + 1):
+                    target[j] += f * source[j]
+        M[i, i] += 1.0
+
+
+@kernel
+def posterior(P: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int:
+    """Write P_new = (P^-1 + N)^-1 and dx = P_new b.
+
+    With P = U'U, M = I + U N U' = F'F (F lower triangular) and V = F^-T U (upper triangular), P_new = V'V.
+    """
+    n = len(b)
+    U, F = np.empty((n, n)), np.empty((n, n))
+    if factor(P, U) != OK:
+        return NOT_POSITIVE_DEFINITE
+    _inner(U, N, F)
+    for k in range(n - 1, -1, -1):
+        if not F[k, k] > 0.0:
+            return NOT_POSITIVE_DEFINITE
+        pivot = 1.0 / sqrt(F[k, k])
+        row = F[k]
+        for j in range(k + 1):
+            row[j] *= pivot
+        for i in range(k):
+            f = row[i]
+            target = F[i]
+            for j in range(i + 1):
+                target[j] -= f * row[j]
+    for k in range(n - 1, -1, -1):
+        row = U[k]
+        for i in range(k + 1, n):
+            f = F[i, k]
+            if f != 0.0:
+                source = U[i]
+                for j in range(i, n):
+                    row[j] -= f * source[j]
+        pivot = 1.0 / F[k, k]
+        for j in range(k, n):
+            row[j] *= pivot
+    P_new[:, :] = 0.0
+    for k in range(n):
+        row = U[k]
+        for i in range(k, n):
+            f = row[i]
+            if f != 0.0:
+                target = P_new[i]
+                for j in range(i, n):
+                    target[j] += f * row[j]
+    for i in range(n):
+        for j in range(i + 1, n):
+            P_new[j, i] = P_new[i, j]
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P_new[i, j] * b[j]
+        dx[i] = total
+    return OK
+
+
+@kernel
+def residuals(
+    observations: Matrix, places: Indices, dynamic: int, mean: Matrix, P: Matrix, dx: Vector, before: bool, value: Vector, variance: Vector
+) -> None:
+    """Write residual (m) and its variance (m2) per observation, after an update (P its posterior) or before it (P prior, dx zero).
+
+    The group clock is that of ``normal_equations``: its weighted mean. Variances follow from R - H P H' after and R + H P H' before, with
+    R and H reduced by the clock. Observations of weight 0 are judged against the clock of the others with their stored variance -1/W
+    where W is negative; W = 0 gives NaN.
+    """
+    n, groups = len(dx), mean.shape[0]
+    Pm, mPm, clock = np.zeros((groups, n)), np.zeros(groups), np.zeros(groups)
+    for g in range(groups):
+        if not mean[g, n + 1] > 0.0:
+            continue
+        clock[g] = mean[g, n]
+        for j in range(n):
+            f = mean[g, j]
+            if f != 0.0:
+                clock[g] -= f * dx[j]
+                for i in range(n):
+                    Pm[g, i] += f * P[j, i]
+        for j in range(n):
+            mPm[g] += mean[g, j] * Pm[g, j]
+    at, h = np.empty(6, np.int64), np.empty(6)
+    for k in range(observations.shape[0]):
+        g, w = places[k, GROUP], observations[k, W]
+        value[k], variance[k] = np.nan, np.nan
+        if w == 0.0 or not mean[g, n + 1] > 0.0:
+            continue
+        count = _entries(observations[k], places[k], dynamic, at, h)
+        v, hPh, hPm = observations[k, Y] - clock[g], 0.0, 0.0
+        for i in range(count):
+            v -= h[i] * dx[at[i]]
+            hPm += h[i] * Pm[g, at[i]]
+            for j in range(count):
+                hPh += h[i] * h[j] * P[at[i], at[j]]
+        spread = hPh - 2.0 * hPm + mPm[g]
+        value[k] = v
+        if w > 0.0:
+            own = 1.0 / w - 1.0 / mean[g, n + 1]
+            variance[k] = own + spread if before else own - spread
+        else:
+            variance[k] = -1.0 / w + 1.0 / mean[g, n + 1] + spread

@@ -1,0 +1,235 @@
+"""Integer least squares: the LAMBDA method.
+
+Decorrelation: Teunissen 1995 (J. Geodesy 70:65-82) with the symmetric pivoting and lazy reductions of Chang, Yang, Zhou 2005
+(MLAMBDA, J. Geodesy 79:552-565); search: Schnorr-Euchner enumeration with a shrinking ellipsoid (MLAMBDA section 4).
+Factorisation Q = L' D L with L unit lower triangular (de Jonge and Tiberius 1996, LGR-12), indices from 0; D[n-1] is the variance of the
+ambiguity that is fixed first. Everything is in place in arrays of the caller.
+"""
+
+from math import erf, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+OK: Final = 0
+NOT_POSITIVE_DEFINITE: Final = 1
+NODE_LIMIT: Final = 2  # the search was cut off: the candidates are not proven to be the best
+
+
+@kernel
+def factorize(Q: Matrix, L: Matrix, D: Vector, permutation: NDArray[np.int64]) -> int:
+    """Factorise Q (n x n, destroyed) as P' Q P = L' D L, the smallest conditional variance first (MLAMBDA, algorithm 3.1).
+
+    ``permutation[i]`` is the index of the input that ends at place i. Return OK or NOT_POSITIVE_DEFINITE.
+    """
+    n = len(D)
+    for i in range(n):
+        permutation[i] = i
+    for k in range(n - 1, -1, -1):
+        smallest = k
+        for i in range(k):
+            if Q[i, i] < Q[smallest, smallest]:
+                smallest = i
+        if not Q[smallest, smallest] > 1e-14:
+            return NOT_POSITIVE_DEFINITE
+        if smallest != k:
+            _exchange(Q, L, permutation, k, smallest)
+        D[k] = Q[k, k]
+        for i in range(k):
+            L[k, i] = Q[k, i] / D[k]
+        L[k, k] = 1.0
+        for i in range(k):
+            factor = L[k, i] * D[k]
+            for j in range(i + 1):
+                Q[i, j] -= factor * L[k, j]
+        for i in range(k + 1, n):
+            L[k, i] = 0.0
+    return OK
+
+
+@kernel
+def _exchange(Q: Matrix, L: Matrix, permutation: NDArray[np.int64], k: int, i: int) -> None:
+    """Exchange row and column i < k of the remaining lower triangle Q[:k+1, :k+1] and the columns of L below it."""
+    n = len(permutation)
+    for j in range(i):
+        Q[i, j], Q[k, j] = Q[k, j], Q[i, j]
+    for j in range(i + 1, k):
+        Q[j, i], Q[k, j] = Q[k, j], Q[j, i]
+    Q[i, i], Q[k, k] = Q[k, k], Q[i, i]
+    for j in range(k + 1, n):
+        L[j, i], L[j, k] = L[j, k], L[j, i]
+    permutation[i], permutation[k] = permutation[k], permutation[i]
+
+
+@kernel
+def _gauss(L: Matrix, back: Matrix, z: Vector, i: int, j: int) -> float:
+    """Subtract from ambiguity j the integer multiple (returned) of ambiguity i > j that makes L[i, j] at most one half.
+
+    ``back`` holds in its rows the inverse transformation: input = sum over i of back[i, :] z[i].
+    """
+    mu = np.rint(L[i, j])
+    if mu == 0.0:
+        return 0.0
+    n = len(z)
+    for k in range(i, n):
+        L[k, j] -= mu * L[k, i]
+    for k in range(n):
+        back[i, k] += mu * back[j, k]
+    z[j] -= mu * z[i]
+    return mu
+
+
+@kernel
+def reduce(L: Matrix, D: Vector, back: Matrix, z: Vector) -> None:
+    """Decorrelate: make D as flat as integer transformations can, in place (LGR-12 section 3.4).
+
+    Size reduction is lazy (only what the next exchange needs), except after large multiples, where waiting would cost digits
+    (Xie, Chang, Al Borno 2011, algorithm PLLL).
+    """
+    n = len(D)
+    k = n - 2
+    while k >= 0:
+        if abs(_gauss(L, back, z, k + 1, k)) >= 2.0:
+            for i in range(k + 2, n):
+                _gauss(L, back, z, i, k)
+        swapped = D[k] + L[k + 1, k] * L[k + 1, k] * D[k + 1]
+        if swapped < D[k + 1] * (1.0 - 1e-9):
+            _swap(L, D, back, z, k, swapped)
+            k = min(k + 1, n - 2)
+        else:
+            k -= 1
+    for j in range(n - 2, -1, -1):
+        for i in range(j + 1, n):
+            _gauss(L, back, z, i, j)
+
+
+@kernel
+def _swap(L: Matrix, D: Vector, back: Matrix, z: Vector, k: int, swapped: float) -> None:
+    """Exchange the neighbours k and k + 1; ``swapped`` is the new D[k + 1] (LGR-12 section 3.3)."""
+    n = len(D)
+    eta = D[k] / swapped
+    lam = D[k + 1] * L[k + 1, k] / swapped
+    D[k] = eta * D[k + 1]
+    D[k + 1] = swapped
+    for j in range(k):
+        a, b = L[k, j], L[k + 1, j]
+        L[k, j] = b - L[k + 1, k] * a
+        L[k + 1, j] = eta * a + lam * b
+    L[k + 1, k] = lam
+    for i in range(k + 2, n):
+        L[i, k], L[i, k + 1] = L[i, k + 1], L[i, k]
+    for j in range(n):
+        back[k, j], back[k + 1, j] = back[k + 1, j], back[k, j]
+    z[k], z[k + 1] = z[k + 1], z[k]
+
+
+@kernel
+def search(L: Matrix, D: Vector, z: Vector, first: int, node_limit: int, candidates: Matrix, norms: Vector) -> int:
+    """Find the integer vectors nearest to z[first:] in the metric of L' D L, best first (MLAMBDA section 4).
+
+    ``candidates`` (m x n) and ``norms`` (m) receive the m best; columns before ``first`` are not touched.
+    Return OK or NODE_LIMIT.
+    """
+    n, m = len(D), len(norms)
+    S = np.zeros((n, n))  # S[k, j]: what the levels above k add to the conditional mean of j
+    dist, mean, trial, step = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    found, worst, limit = 0, 0, np.inf
+    k = n - 1
+    mean[k] = z[k]
+    trial[k] = np.rint(mean[k])
+    step[k] = 1.0 if mean[k] >= trial[k] else -1.0
+    for _ in range(node_limit):
+        offset = mean[k] - trial[k]
+        total = dist[k] + offset * offset / D[k]
+        if total < limit:
+            if k != first:
+                k -= 1
+                dist[k] = total
+                for j in range(first, k + 1):
+                    S[k, j] = S[k + 1, j] + (trial[k + 1] - mean[k + 1]) * L[k + 1, j]
+                mean[k] = z[k] + S[k, k]
+                trial[k] = np.rint(mean[k])
+                step[k] = 1.0 if mean[k] >= trial[k] else -1.0
+                continue
+            place = found if found < m else worst
+            candidates[place, first:] = trial[first:]
+            norms[place] = total
+            if found < m:
+                found += 1
+            if found == m:
+                worst = int(np.argmax(norms))
+                limit = norms[worst]
+        else:
+            if k == n - 1:
+                _sort(candidates, norms)
+                return OK
+            k += 1
+        trial[k] += step[k]
+        step[k] = -step[k] - (1.0 if step[k] > 0.0 else -1.0)
+    return NODE_LIMIT
+
+
+@kernel
+def _sort(candidates: Matrix, norms: Vector) -> None:
+    """Sort the few candidates by norm (insertion sort)."""
+    for i in range(1, len(norms)):
+        j = i
+        while j > 0 and norms[j] < norms[j - 1]:
+            norms[j], norms[j - 1] = norms[j - 1], norms[j]
+            for c in range(candidates.shape[1]):
+                candidates[j, c], candidates[j - 1, c] = candidates[j - 1, c], candidates[j, c]
+            j -= 1
+
+
+@kernel
+def rounding_success(variance: float) -> float:
+    """Return the probability that rounding a normal error of this variance (cycles squared) gives zero."""
+    return erf(0.5 / sqrt(2.0 * variance)) if variance > 0.0 else 1.0
+
+
+@kernel
+def bootstrap_success(D: Vector, first: int) -> float:
+    """Return the success rate of integer bootstrapping of D[first:], a lower bound of least squares' (Teunissen 1998, eq. 19)."""
+    success = 1.0
+    for k in range(first, len(D)):
+        success *= rounding_success(D[k])
+    return success
+
+
+@kernel
+def integer_least_squares(a: Vector, Q: Matrix, node_limit: int, fixed: Matrix, norms: Vector, D: Vector) -> int:
+    """Find the integer vectors nearest to the float ambiguities ``a`` (cycles, n) in the metric of their covariance Q (n x n).
+
+    ``fixed`` (m x n) and ``norms`` (m, squared norms) receive the m best, best first; ``D`` (n) the conditional variances after
+    decorrelation. Return OK, NOT_POSITIVE_DEFINITE or NODE_LIMIT (then nothing in ``fixed`` is to be used).
+    """
+    n, m = len(a), len(norms)
+    L, work, back = np.zeros((n, n)), Q.copy(), np.zeros((n, n))
+    permutation = np.zeros(n, np.int64)
+    for c in range(m):
+        norms[c] = np.inf
+    if factorize(work, L, D, permutation) != OK:
+        return NOT_POSITIVE_DEFINITE
+    z, whole = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        whole[i] = np.rint(a[permutation[i]])  # large integers must not cost digits in the transformation
+        z[i] = a[permutation[i]] - whole[i]
+        back[i, i] = 1.0
+    reduce(L, D, back, z)
+    candidates = np.zeros((m, n))
+    status = search(L, D, z, 0, node_limit, candidates, norms)
+    if status != OK:
+        return status
+    for c in range(m):
+        for j in range(n):
+            total = whole[j]
+            for i in range(n):
+                total += back[i, j] * candidates[c, i]
+            fixed[c, permutation[j]] = total
+    return OK

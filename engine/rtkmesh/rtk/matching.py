@@ -1,0 +1,207 @@
+"""Which signals of rover and base make a single difference.
+
+Per satellite up to ``frequencies`` bands that both receivers track, in the order of ``BANDS``; per band the pair of signals that fits best:
+the same RINEX 3 code first, then codes of one component family (2L, 2S, 2X ...), then any of the band. RINEX 3.05 (9.1) and RTCM
+10403.3 (3.5.16.1) demand phases of one band aligned, so other codes of a band cost a separate clock group and code variance, not a
+quarter cycle per satellite.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.signals import ATTRIBUTES, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
+
+# Bands per system, most useful first (RINEX band digits). Galileo: E5b before E5a as most low-cost base/rover pairs share it; BeiDou: B1C
+# last, it is 14 MHz from B1I and adds little to it.
+BANDS: Final = {"G": "125", "R": "123", "E": "17586", "C": "27651", "J": "125", "S": "15", "I": "59"}
+
+# Attributes of one band, best first; families are separated by a blank. The pilot of a modern signal goes before data and combined.
+_FAMILIES: Final = {
+    "G1": "C WPYM LXS N", "G2": "WPYDMN LXS C", "G5": "QXI",
+    "R1": "C P", "R2": "C P", "R3": "QXI",
+    "E1": "CXBZA", "E5": "QXI", "E6": "CXBZA", "E7": "QXI", "E8": "QXI",
+    "C1": "PXD ZLS A N", "C2": "IXQ", "C5": "PXD", "C6": "IXQ PDZA", "C7": "IXQ PDZ", "C8": "PXD",
+    "J1": "C LXS ZBE", "J2": "LXS", "J5": "QXI PDZ", "J6": "LXSEZ",
+    "S1": "C", "S5": "IXQ", "I5": "ABCX", "I9": "ABCX",
+}  # fmt: skip
+
+_LAST = 99  # rank and family of an attribute that the tables do not name
+
+
+def _tables() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return (band order per system, rank and family per system, band, attribute)."""
+    order = np.zeros((len(SYSTEMS), 6), np.int64)
+    rank = np.full((len(SYSTEMS), 10, ATTRIBUTES), _LAST, np.int64)
+    family = np.full((len(SYSTEMS), 10, ATTRIBUTES), _LAST, np.int64)
+    for system, bands in BANDS.items():
+        order[SYSTEMS.index(system), : len(bands)] = [int(b) for b in bands]
+    for name, groups in _FAMILIES.items():
+        system, band, place = SYSTEMS.index(name[0]), int(name[1]), 0
+        for number, group in enumerate(groups.split()):
+            for attribute in group:
+                rank[system, band, ord(attribute) - ord("A")] = place
+                family[system, band, ord(attribute) - ord("A")] = number
+                place += 1
+    return order, rank, family
+
+
+_ORDER, _RANK, _FAMILY = _tables()
+
+# Columns of a pair.
+ROVER, BASE, LIKENESS = range(3)
+SAME_CODE, SAME_FAMILY, SAME_BAND = range(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """Single differences that can be formed, sorted by (satellite, band order): rows of the two epochs and the clock group of each.
+
+    ``group`` numbers the (system, rover signal, base signal) combinations in rising order; ``likeness`` is SAME_CODE, SAME_FAMILY or SAME_BAND.
+    ``key`` is unique to (satellite, rover signal, base signal) and rises with them.
+    """
+
+    satellite: NDArray[np.int16]
+    rover: NDArray[np.int64]
+    base: NDArray[np.int64]
+    likeness: NDArray[np.int64]
+    group: NDArray[np.int64]
+    groups: int
+    key: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.rover)
+
+
+class Matcher:
+    """Forms the pairs of two epochs under fixed options."""
+
+    def __init__(self, systems: str, frequencies: int, excluded: tuple[str, ...], cn0_mask_dbhz: float) -> None:
+        self._allowed = np.zeros(len(SYSTEMS) * SATELLITES_PER_SYSTEM, np.bool_)
+        for system in systems:
+            first = SYSTEMS.index(system) * SATELLITES_PER_SYSTEM
+            self._allowed[first : first + SATELLITES_PER_SYSTEM] = True
+        for satellite_id in excluded:
+            self._allowed[satellite_number(satellite_id)] = False
+        self._frequencies = frequencies
+        self._cn0_mask_dbhz = cn0_mask_dbhz
+
+    def match(self, rover: Epoch, base: Epoch) -> Pairs:
+        """Return the pairs of two epochs."""
+        table = np.empty((min(len(rover), len(base)), 3), np.int64)
+        count = _match(
+            rover.satellite, rover.signal, _usable(rover, self._cn0_mask_dbhz), base.satellite, base.signal,
+            _usable(base, self._cn0_mask_dbhz), self._allowed, self._frequencies, _ORDER, _RANK, _FAMILY, table,
+        )  # fmt: skip
+        table = table[:count]
+        satellite = rover.satellite[table[:, ROVER]]
+        key, group, groups = _keys(satellite, rover.signal[table[:, ROVER]], base.signal[table[:, BASE]])
+        return Pairs(satellite, table[:, ROVER].copy(), table[:, BASE].copy(), table[:, LIKENESS].copy(), group, groups, key)
+
+
+def _usable(epoch: Epoch, cn0_mask_dbhz: float) -> NDArray[np.int64]:
+    """Return 0 where a row has no pseudorange (or too little C/N0), 1 with pseudorange only, 2 with phase too."""
+    usable = np.isfinite(epoch.pseudorange_m).astype(np.int64)
+    usable += usable * np.isfinite(epoch.phase_cyc)
+    if cn0_mask_dbhz > 0.0:
+        usable[epoch.cn0_dbhz < cn0_mask_dbhz] = 0
+    return usable
+
+
+@kernel
+def _match(
+    rover_satellite: NDArray[np.int16],
+    rover_signal: NDArray[np.int16],
+    rover_usable: NDArray[np.int64],
+    base_satellite: NDArray[np.int16],
+    base_signal: NDArray[np.int16],
+    base_usable: NDArray[np.int64],
+    allowed: NDArray[np.bool_],
+    frequencies: int,
+    order: NDArray[np.int64],
+    rank: NDArray[np.int64],
+    family: NDArray[np.int64],
+    out: NDArray[np.int64],
+) -> int:
+    """Walk through both sorted epochs and write (rover row, base row, likeness) per pair; return how many."""
+    count, i, j = 0, 0, 0
+    while i < len(rover_satellite) and j < len(base_satellite):
+        satellite = rover_satellite[i]
+        if satellite != base_satellite[j]:
+            if satellite < base_satellite[j]:
+                i += 1
+            else:
+                j += 1
+            continue
+        i_end, j_end = i, j
+        while i_end < len(rover_satellite) and rover_satellite[i_end] == satellite:
+            i_end += 1
+        while j_end < len(base_satellite) and base_satellite[j_end] == satellite:
+            j_end += 1
+        if allowed[satellite]:
+            used = 0
+            for band in order[satellite // 64]:
+                if band == 0 or used == frequencies or count == len(out):
+                    break
+                if _best_pair(
+                    rover_signal, rover_usable, i, i_end, base_signal, base_usable, j, j_end, band,
+                    rank[satellite // 64, band], family[satellite // 64, band], out[count],
+                ):  # fmt: skip
+                    used += 1
+                    count += 1
+        i, j = i_end, j_end
+    return count
+
+
+@kernel
+def _best_pair(
+    rover_signal: NDArray[np.int16],
+    rover_usable: NDArray[np.int64],
+    i_start: int,
+    i_end: int,
+    base_signal: NDArray[np.int16],
+    base_usable: NDArray[np.int64],
+    j_start: int,
+    j_end: int,
+    band: int,
+    rank: NDArray[np.int64],
+    family: NDArray[np.int64],
+    out: NDArray[np.int64],
+) -> bool:
+    """Write the best pair of one band of one satellite; False if there is none."""
+    least = 1 << 40
+    for i in range(i_start, i_end):
+        if rover_signal[i] // 26 != band or rover_usable[i] == 0:
+            continue
+        for j in range(j_start, j_end):
+            if base_signal[j] // 26 != band or base_usable[j] == 0:
+                continue
+            a, b = rover_signal[i] % 26, base_signal[j] % 26
+            likeness = 0 if a == b else (1 if family[a] == family[b] else 2)
+            phase = 0 if rover_usable[i] == 2 and base_usable[j] == 2 else 1
+            cost = ((phase * 4 + likeness) * 128 + rank[a]) * 128 + rank[b]
+            if cost < least:
+                least = cost
+                out[0], out[1], out[2] = i, j, likeness
+    return least < 1 << 40
+
+
+@kernel
+def _keys(
+    satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Return the key and the clock group of each pair, and the number of groups (numbered in the order of their content)."""
+    n = len(satellite)
+    key, kind, group = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for k in range(n):
+        signals = rover_signal[k] * 512 + base_signal[k]
+        key[k] = satellite[k] * 262144 + signals
+        kind[k] = (satellite[k] // 64) * 262144 + signals
+    kinds = np.unique(kind)
+    for k in range(n):
+        group[k] = np.searchsorted(kinds, kind[k])
+    return key, group, len(kinds)

@@ -1,0 +1,177 @@
+"""A receiver on an antenna: its clock, its tracking, and an epoch of observations for every time it is asked, in order."""
+
+from dataclasses import dataclass
+from math import cos, floor, pi, sin
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, MAX_SATELLITE, SATELLITES_PER_SYSTEM, carrier_hz, signal_number
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh.models.atmosphere import klobuchar_vector
+from rtkmesh.models.geometry import AZIMUTH, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, TROPOSPHERE_M
+from rtkmesh.models.orbit import STATE
+from rtkmesh.simulation.environment import Atmosphere, Window, hidden_below_rad
+from rtkmesh.simulation.sky import CHANNELS, KLOBUCHAR, SATELLITES, Sky, absolute_s, glonass_generation
+from rtkmesh.simulation.tracking import (
+    CN0,
+    CODE_SIGMA,
+    DOPPLER,
+    LOCK,
+    NORMALS,
+    PHASE,
+    PHASE_SIGMA,
+    PSEUDORANGE,
+    SLOTS,
+    TRACK,
+    UNIFORMS,
+    VALUES,
+    SignalOptions,
+    measure,
+    signal_paths,
+    update_tracking,
+)
+from rtkmesh.simulation.trajectories import AntennaPath
+
+_SIGNALS: Final = {GPS: ("1C", "2L"), GALILEO: ("1C", "7Q"), BEIDOU: ("2I", "7I"), GLONASS: ("1C", "2C")}
+_WITHOUT_L2C: Final = frozenset((1, 8, 13, 16, 20, 24, 29))  # GPS satellites of the older blocks
+_MILLISECOND_S: Final = 1e-3
+_WANDER_S: Final = 2e-8
+_WANDER_PERIOD_S: Final = 400.0
+_TRAVEL_S: Final = 0.08  # first guess of a travel time
+_SIGNAL_OPTIONS: Final = SignalOptions()
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiverOptions:
+    """One receiver: what it tracks and how its clock runs."""
+
+    signals: SignalOptions = _SIGNAL_OPTIONS
+    elevation_mask_rad: float = 0.12
+    clock_drift: float = 3e-7  # s/s; the reading is kept within half a millisecond by jumps of one
+    steered: bool = False  # the clock is held near GPS time instead
+    warm: bool = True  # at the first epoch everything in view is tracked already
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observed:
+    """An epoch as measured, the true time of its reception, and what only the receiver's own format says."""
+
+    epoch: Epoch
+    true_time: GpsTime
+    clock_reset: bool
+    half_cycle_subtracted: NDArray[np.bool_]
+    azimuth_rad: NDArray[np.float64]
+    elevation_rad: NDArray[np.float64]
+
+
+def _signal_table() -> tuple[NDArray[np.int16], NDArray[np.float64]]:
+    """Return signal numbers (-1: none) and carriers (Hz) of all satellites and slots."""
+    signals, carriers = np.full((len(SATELLITES), SLOTS), -1, np.int16), np.ones((len(SATELLITES), SLOTS))
+    for i, satellite in enumerate(SATELLITES.tolist()):
+        system, number = divmod(satellite, SATELLITES_PER_SYSTEM)
+        for j, code in enumerate(_SIGNALS[system]):
+            if j == 0 or system != GPS or number not in _WITHOUT_L2C:
+                signals[i, j] = signal_number(code)
+                carriers[i, j] = carrier_hz(satellite, int(signals[i, j]), int(CHANNELS[i]))
+    return signals, carriers
+
+
+_SIGNAL_OF, _CARRIER_HZ = _signal_table()
+
+
+class ReceiverClock:
+    """Offset of a receiver's clock as a closed form of time: drift, a slow wander and jumps of a millisecond, or held near zero."""
+
+    def __init__(self, drift: float, *, steered: bool, rng: np.random.Generator) -> None:
+        self._drift = 0.0 if steered else drift
+        self._start_s = 0.0 if steered else float(rng.uniform(-0.4e-3, 0.4e-3))
+        self._phase = float(rng.uniform(0.0, 2.0 * pi))
+
+    def offset(self, time_s: float) -> tuple[float, float, int]:
+        """Return reading minus GPS time (s), its rate (s/s), and how many jumps there were before."""
+        angle = 2.0 * pi * time_s / _WANDER_PERIOD_S + self._phase
+        raw_s = self._start_s + self._drift * time_s + _WANDER_S * sin(angle)
+        jumps = floor(raw_s / _MILLISECOND_S + 0.5)
+        return raw_s - jumps * _MILLISECOND_S, self._drift + _WANDER_S * 2.0 * pi / _WANDER_PERIOD_S * cos(angle), jumps
+
+
+class Receiver:
+    """Observes the sky from one antenna; epochs must be asked for in rising order.
+
+    ``name`` and ``seed`` decide every random number of an epoch together with its time.
+    """
+
+    def __init__(self, name: str, path: AntennaPath, seed: int, options: ReceiverOptions, windows: tuple[Window, ...] = ()) -> None:
+        self._key = (seed, int.from_bytes(name.encode(), "big"))
+        self._path, self._options, self._windows = path, options, windows
+        self._sky, self._atmosphere = Sky(), Atmosphere(seed)
+        rng = np.random.default_rng((*self._key, 1))
+        self._clock = ReceiverClock(options.clock_drift, steered=options.steered, rng=rng)
+        self._code_biases_m = rng.normal(0.0, 1.0, (MAX_SATELLITE // SATELLITES_PER_SYSTEM, SLOTS))
+        self._phase_biases_cyc = rng.uniform(0.0, 1.0, self._code_biases_m.shape)
+        n = len(SATELLITES)
+        self._track = np.full((n, SLOTS, TRACK), np.nan)
+        self._travel_s = np.full(n, _TRAVEL_S)
+        self._states, self._geometry, self._rates = np.empty((n, STATE)), np.empty((n, GEOMETRY)), np.empty(n)
+        self._klobuchar = klobuchar_vector(KLOBUCHAR)
+        self._last: GpsTime | None = None
+        self._jumps = 0
+
+    def observe(self, tag: GpsTime) -> Observed:
+        """Return what is measured when the receiver's clock reads ``tag``."""
+        tag_s = absolute_s(tag)
+        clock_s, clock_rate, jumps = self._clock.offset(tag_s)
+        time = tag + -clock_s
+        time_s = tag_s - clock_s
+        rows = self._sky.rows(time)
+        self._propagate(rows, time, time_s)
+        rng = np.random.default_rng((*self._key, round(tag.week * 604800000 + tag.tow_s * 1e3)))
+        shape = (len(SATELLITES), SLOTS)
+        normals, uniforms = rng.standard_normal((*shape, NORMALS)), rng.random((*shape, UNIFORMS))
+        self._step_tracking(tag, tag_s, normals, uniforms)
+        reset, self._jumps = self._last is not None and jumps != self._jumps, jumps
+        self._last = tag
+        options = self._options.signals
+        size = len(SATELLITES) * SLOTS
+        index, flags, halves, values = (
+            np.empty(size, np.int64),
+            np.empty(size, np.uint8),
+            np.empty(size, np.bool_),
+            np.empty((VALUES, size)),
+        )
+        count = measure(
+            rows, self._states, self._geometry, self._rates, self._track, _SIGNAL_OF, _CARRIER_HZ, CHANNELS, self._code_biases_m,
+            self._phase_biases_cyc, tag_s, clock_s, clock_rate, options, normals, index, flags, halves, values,
+        )  # fmt: skip
+        satellite, values = index[:count] // SLOTS, values[:, :count]
+        epoch = Epoch(
+            tag, SATELLITES[satellite], _SIGNAL_OF.ravel()[index[:count]], CHANNELS[satellite], flags[:count], values[PSEUDORANGE],
+            values[PHASE], values[DOPPLER], values[CN0], values[LOCK], values[CODE_SIGMA], values[PHASE_SIGMA],
+        )  # fmt: skip
+        azimuth, elevation = self._geometry[satellite, AZIMUTH], self._geometry[satellite, ELEVATION]
+        return Observed(epoch, time, reset, halves[:count], azimuth, elevation)
+
+    def _propagate(self, rows: NDArray[np.float64], time: GpsTime, time_s: float) -> None:
+        """Find the signals' paths, with what the atmosphere has beyond the models."""
+        position, velocity = self._path.position_ecef_m(time_s), self._path.velocity_ecef_mps(time_s)
+        geometry = self._geometry
+        signal_paths(rows, time.week, time.tow_s, position, velocity, self._klobuchar, self._travel_s, self._states, geometry, self._rates)
+        offset = self._path.offset_enu_m(time_s)
+        elevation = geometry[:, ELEVATION]
+        wet_m = self._atmosphere.zenith_wet_m(offset, time_s)
+        geometry[:, TROPOSPHERE_M] += wet_m * 1.001 / np.sqrt(0.002001 + np.sin(elevation) ** 2)  # RTCA DO-229D A.4.2.4
+        waves = self._atmosphere.waves(offset, time_s)
+        geometry[:, IONOSPHERE_L1_M] += self._atmosphere.ionosphere_l1_m(waves, geometry[:, AZIMUTH], elevation)
+
+    def _step_tracking(self, tag: GpsTime, tag_s: float, normals: NDArray[np.float64], uniforms: NDArray[np.float64]) -> None:
+        first = self._last is None
+        step_s = 0.0 if self._last is None else tag - self._last
+        if self._last is not None and glonass_generation(self._last) != glonass_generation(tag):
+            self._track[SATELLITES // SATELLITES_PER_SYSTEM == GLONASS] = np.nan
+        lowest_rad = max(self._options.elevation_mask_rad, hidden_below_rad(self._windows, tag_s))
+        update_tracking(
+            self._track, self._geometry, tag_s, step_s, lowest_rad, first and self._options.warm, self._options.signals, normals, uniforms
+        )

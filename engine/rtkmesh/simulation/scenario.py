@@ -1,0 +1,196 @@
+"""The scenarios by name, and what the outside asks of them: the byte stream of an antenna and the truth.
+
+Everything but the receivers' own luck is a function of scenario, seed and absolute time, so processes that simulate different
+antennas, or one that is started again, agree on sky, atmosphere and motion.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from math import ceil, pi, radians
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh.errors import OptionError
+from rtkmesh.gnss.constants import SECONDS_PER_WEEK
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh.simulation.environment import Window
+from rtkmesh.simulation.receiver import Receiver, ReceiverOptions
+from rtkmesh.simulation.rtcm3_stream import Rtcm3Stream
+from rtkmesh.simulation.sky import absolute_s
+from rtkmesh.simulation.tracking import SignalOptions
+from rtkmesh.simulation.trajectories import AntennaPath, Site, Trajectory, boat, driving, static
+from rtkmesh.simulation.ubx_stream import UbxStream
+
+Vector = NDArray[np.float64]
+Offset = tuple[float, float, float]
+
+MAX_RATE_HZ: Final = 50.0
+
+_BASE_SIGNALS: Final = SignalOptions(
+    code_sigma_m=0.15, phase_sigma_m=0.0008, code_multipath_m=0.3, phase_multipath_m=0.002, slips_per_hour=0.2, zenith_cn0_dbhz=51.0,
+    half_cycle_share=0.0, half_cycle_time_s=0.0,
+)  # fmt: skip
+_BASE: Final = ReceiverOptions(signals=_BASE_SIGNALS, elevation_mask_rad=radians(5.0), steered=True)
+_ROVER: Final = ReceiverOptions(clock_drift=3.1e-7)
+_HEADING: Final = ReceiverOptions(clock_drift=-1.7e-7)
+_MOVING: Final = SignalOptions(multipath_time_s=6.0, slips_per_hour=2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Antenna:
+    """An antenna and its receiver: on the vehicle (``offset_m`` forward, right, down in the body) or, as base, at a place in ENU."""
+
+    offset_m: Offset
+    options: ReceiverOptions = _ROVER
+    fixed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A site, a vehicle, its antennas and a base station; ``windows`` hide the vehicle's sky."""
+
+    site: Site
+    trajectory: Trajectory
+    antennas: dict[str, Antenna]
+    windows: tuple[Window, ...] = field(default=())
+
+
+_SITE: Final = Site(radians(52.5), radians(13.4), 80.0)
+_BASE_ANTENNA: Final = Antenna((-420.0, 260.0, 12.0), _BASE, fixed=True)
+_ON_THE_ROAD: Final = ReceiverOptions(signals=_MOVING, clock_drift=3.1e-7), ReceiverOptions(signals=_MOVING, clock_drift=-1.7e-7)
+_TWO_ANTENNAS: Final = {"rover": Antenna((-0.3, 0.0, -1.5), _ON_THE_ROAD[0]), "heading": Antenna((0.7, 0.0, -1.5), _ON_THE_ROAD[1])}
+_ALL_OF_IT: Final = pi
+
+SCENARIOS: Final = {
+    "demo": Scenario(_SITE, driving, {**_TWO_ANTENNAS, "base": _BASE_ANTENNA}),
+    "static": Scenario(
+        _SITE, static, {"rover": Antenna((0.0, 0.0, -1.0), _ROVER), "heading": Antenna((1.0, 0.0, -1.0), _HEADING), "base": _BASE_ANTENNA}
+    ),
+    "boat": Scenario(
+        _SITE,
+        boat,
+        {
+            "rover": Antenna((-1.0, -0.6, -2.0), _ON_THE_ROAD[0]),
+            "heading": Antenna((1.0, -0.6, -2.0), _ON_THE_ROAD[1]),
+            "starboard": Antenna((-1.0, 0.6, -2.0), _ON_THE_ROAD[0]),
+            "bow": Antenna((1.0, 0.6, -2.0), _ON_THE_ROAD[1]),
+            "base": _BASE_ANTENNA,
+        },
+    ),
+    "dive": Scenario(
+        _SITE,
+        driving,
+        {**_TWO_ANTENNAS, "base": _BASE_ANTENNA},
+        (Window(120.0, 60.0, 15.0, _ALL_OF_IT), Window(120.0, 30.0, 8.0, radians(35.0)), Window(45.0, 20.0, 1.2, _ALL_OF_IT)),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedEpoch:
+    """All bytes that a receiver sends for one epoch, and the true GPS time at which it was received."""
+
+    time: GpsTime
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Where everything truly is at a time: antennas (ECEF) by name, the vehicle's velocity at its origin, and its attitude."""
+
+    time: GpsTime
+    position_ecef_m: dict[str, Vector]
+    velocity_ecef_mps: dict[str, Vector]
+    heading_rad: float
+    pitch_rad: float
+    roll_rad: float
+
+
+class SimulatedStream:
+    """The endless stream of one antenna; every call of ``epochs`` begins anew at the start."""
+
+    def __init__(self, scenario: str, stream: str, *, seed: int, rate_hz: float, start: GpsTime, warm: bool = True) -> None:
+        self._scenario, self._antenna = _find(scenario, stream)
+        if not 0.0 < rate_hz <= MAX_RATE_HZ or abs(1e3 / rate_hz - round(1e3 / rate_hz)) > 1e-6:
+            raise OptionError(f"rate {rate_hz} Hz is not one epoch every whole number of milliseconds, at most {MAX_RATE_HZ} Hz")
+        if seed < 0:
+            raise OptionError(f"seed {seed} is negative")
+        self._name, self._seed, self._start, self._warm = stream, seed, start, warm
+        self._step_ms = round(1e3 / rate_hz)
+
+    def receiver(self) -> Receiver:
+        """Return a fresh receiver of this antenna: observations without their encoding, for tests."""
+        windows = () if self._antenna.fixed else self._scenario.windows
+        return Receiver(self._name, _path(self._scenario, self._antenna), self._seed, self._antenna.options, windows)
+
+    def tags(self) -> Iterator[GpsTime]:
+        """Yield the nominal times of all epochs: multiples of the interval in GPS time, from the start on."""
+        first_ms = ceil((self._start.tow_s * 1e3) / self._step_ms - 1e-6) * self._step_ms
+        week = self._start.week
+        while True:
+            if first_ms >= SECONDS_PER_WEEK * 1e3:
+                week, first_ms = week + 1, first_ms - round(SECONDS_PER_WEEK * 1e3)
+            yield GpsTime(week, first_ms * 1e-3)
+            first_ms += self._step_ms
+
+    def epochs(self) -> Iterator[SimulatedEpoch]:
+        """Yield all epochs in order, for ever; the caller paces."""
+        receiver, path = self.receiver(), _path(self._scenario, self._antenna)
+        if self._antenna.fixed:
+            x, y, z = path.position_ecef_m(0.0).tolist()
+            base = Rtcm3Stream((x, y, z), warm=self._warm)
+            for tag in self.tags():
+                observed = receiver.observe(tag)
+                yield SimulatedEpoch(observed.true_time, base.encode(observed))
+        rover = UbxStream(path, self._seed, warm=self._warm)
+        for tag in self.tags():
+            observed = receiver.observe(tag)
+            yield SimulatedEpoch(observed.true_time, rover.encode(observed, absolute_s(observed.true_time)))
+
+
+def open_stream(scenario: str, stream: str, *, seed: int, rate_hz: float, start: GpsTime, warm: bool = True) -> SimulatedStream:
+    """Return the stream of an antenna of a scenario; OptionError for names that do not exist.
+
+    UBX for antennas of the vehicle, RTCM 3 for the base. ``warm``: the receiver tracks everything already and hands out all
+    ephemerides within two seconds; else it acquires satellites one by one and ephemerides take up to 30 s.
+    """
+    return SimulatedStream(scenario, stream, seed=seed, rate_hz=rate_hz, start=start, warm=warm)
+
+
+def truth(scenario: str) -> Callable[[GpsTime], Truth]:
+    """Return the function that tells the truth of a scenario at any time; it is the same for all seeds."""
+    chosen = _scenario(scenario)
+    paths = {name: _path(chosen, antenna) for name, antenna in chosen.antennas.items()}
+
+    def at(time: GpsTime) -> Truth:
+        time_s = absolute_s(time)
+        pose = chosen.trajectory(time_s)
+        return Truth(
+            time,
+            {name: path.position_ecef_m(time_s) for name, path in paths.items()},
+            {name: path.velocity_ecef_mps(time_s) for name, path in paths.items()},
+            pose.heading_rad,
+            pose.pitch_rad,
+            pose.roll_rad,
+        )
+
+    return at
+
+
+def _scenario(name: str) -> Scenario:
+    if name not in SCENARIOS:
+        raise OptionError(f"no scenario {name!r}; there are {', '.join(sorted(SCENARIOS))}")
+    return SCENARIOS[name]
+
+
+def _find(scenario: str, stream: str) -> tuple[Scenario, Antenna]:
+    chosen = _scenario(scenario)
+    if stream not in chosen.antennas:
+        raise OptionError(f"scenario {scenario!r} has no stream {stream!r}; there are {', '.join(chosen.antennas)}")
+    return chosen, chosen.antennas[stream]
+
+
+def _path(scenario: Scenario, antenna: Antenna) -> AntennaPath:
+    return AntennaPath(scenario.site, None if antenna.fixed else scenario.trajectory, antenna.offset_m)

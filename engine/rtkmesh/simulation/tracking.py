@@ -1,0 +1,198 @@
+"""Kernels of a simulated receiver: signal paths, tracking loops with their faults, and the measurements they give."""
+
+from math import cos, exp, sin, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.constants import OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
+from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP
+from rtkmesh.gnss.signals import GLONASS
+from rtkmesh.models.geometry import E_X, E_Y, E_Z, ELEVATION, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, line_of_sight, receiver_geometry
+from rtkmesh.models.orbit import STATE_CLOCK, STATE_CLOCK_RATE, STATE_OK, group_delay_m, satellite_state
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Cube = NDArray[np.float64]
+
+SLOTS: Final = 2  # signals per satellite
+
+# Columns of a tracking state (satellites, SLOTS, TRACK): time when the signal is acquired and since when its phase is continuous (s; NaN:
+# not tracked), ambiguity (cycles), half cycle not yet removed (0 or 1), multipath of code and phase (m), fading (dB), slipped just now.
+READY, SINCE, AMBIGUITY, HALF, CODE_MULTIPATH, PHASE_MULTIPATH, FADING, SLIPPED = range(8)
+TRACK: Final = 8
+NORMALS: Final = 7  # random numbers per signal and epoch
+UNIFORMS: Final = 4
+
+# Rows of the measured values.
+PSEUDORANGE, PHASE, DOPPLER, CN0, LOCK, CODE_SIGMA, PHASE_SIGMA = range(7)
+VALUES: Final = 7
+
+_C = SPEED_OF_LIGHT_MPS
+_L1_HZ = 1575.42e6
+_OMEGA = OMEGA_EARTH_GPS_RADPS
+_REFERENCE_CN0 = 45.0  # dB-Hz at which the sigmas of the options hold
+_WARM_LOCK_S = 60.0
+_SECOND_SIGNAL_DELAY_S = 1.0  # the second frequency is acquired after the first
+
+
+class SignalOptions(NamedTuple):
+    """How well a receiver tracks; sigmas at 45 dB-Hz, multipath at the horizon (it falls off as exp(-elevation / 20 degrees))."""
+
+    code_sigma_m: float = 0.25
+    phase_sigma_m: float = 0.001
+    rate_sigma_mps: float = 0.03
+    code_multipath_m: float = 0.6
+    phase_multipath_m: float = 0.003
+    multipath_time_s: float = 40.0
+    fading_sigma_db: float = 1.5
+    fading_time_s: float = 8.0
+    zenith_cn0_dbhz: float = 49.0
+    horizon_cn0_dbhz: float = 33.0
+    second_signal_db: float = -3.0
+    slips_per_hour: float = 1.0  # of each signal
+    half_cycle_share: float = 0.3  # of new arcs and of slips that are wrong by half a cycle until it is resolved
+    half_cycle_time_s: float = 3.0  # until the half cycle is resolved
+    acquisition_time_s: float = 2.0
+    glonass_slope_m: float = 0.0  # delay per frequency channel
+
+
+@kernel
+def signal_paths(
+    rows: Matrix, week: int, tow_s: float, receiver_ecef_m: Vector, velocity_ecef_mps: Vector, klobuchar: Vector,
+    travel_s: Vector, states: Matrix, geometry: Matrix, rates_mps: Vector,
+) -> None:  # fmt: skip
+    """Write states at transmission, geometry (see ``models.geometry``) and rates of range of what arrives at a true GPS time.
+
+    ``travel_s`` (n) holds the travel times: a first guess on entry (that of the epoch before), exact to 1e-12 s on return.
+    """
+    for i in range(rows.shape[0]):
+        for _ in range(8):
+            satellite_state(rows[i], week, tow_s - travel_s[i], states[i])
+            line_of_sight(states[i], receiver_ecef_m, geometry[i])
+            change_s = geometry[i, RANGE] / _C - travel_s[i]
+            travel_s[i] += change_s
+            if abs(change_s) < 1e-10:  # the satellite moves less than 1 um meanwhile
+                break
+        states[i, STATE_OK] = 1.0
+    receiver_geometry(states, week, tow_s, receiver_ecef_m, klobuchar, geometry)
+    for i in range(rows.shape[0]):
+        rates_mps[i] = range_rate_mps(states[i], geometry[i], velocity_ecef_mps)
+
+
+@kernel
+def range_rate_mps(state: Vector, geometry: Vector, velocity_ecef_mps: Vector) -> float:
+    """Return the change of the geometric range per second of reception.
+
+    The derivative of |R(omega tau) s(t - tau) - r(t)| with the flight time's own change; R turns by the earth's rotation.
+    """
+    angle = _OMEGA * geometry[RANGE] / _C
+    vx = state[3] * cos(angle) + state[4] * sin(angle)
+    vy = state[4] * cos(angle) - state[3] * sin(angle)
+    towards = geometry[E_X] * vx + geometry[E_Y] * vy + geometry[E_Z] * state[5]
+    own = geometry[E_X] * velocity_ecef_mps[0] + geometry[E_Y] * velocity_ecef_mps[1] + geometry[E_Z] * velocity_ecef_mps[2]
+    # derivative of the turn: e . (omega x s) per second of flight time
+    turning = _OMEGA * (geometry[E_X] * state[1] - geometry[E_Y] * state[0])
+    return (towards - own) / (1.0 + (towards - turning) / _C)
+
+
+@kernel
+def update_tracking(
+    track: Cube, geometry: Matrix, time_s: float, step_s: float, lowest_rad: float, warm: bool,
+    options: SignalOptions, normals: Cube, uniforms: Cube,
+) -> None:  # fmt: skip
+    """Move the tracking state (n, SLOTS, TRACK) to the next epoch: acquire, lose, slip, fade; ``step_s`` is 0 at the first."""
+    for i in range(track.shape[0]):
+        for j in range(SLOTS):
+            state, chance = track[i, j], uniforms[i, j]
+            if geometry[i, ELEVATION] < lowest_rad:
+                state[READY], state[SINCE] = np.nan, np.nan
+                continue
+            if np.isnan(state[READY]):
+                wait_s = options.acquisition_time_s * (0.5 + chance[0]) + _SECOND_SIGNAL_DELAY_S * j
+                state[READY] = time_s if warm else time_s + wait_s
+            if time_s < state[READY]:
+                continue
+            if np.isnan(state[SINCE]):
+                _begin_arc(state, time_s, warm, options, normals[i, j], chance)
+            else:
+                _continue_arc(state, time_s, step_s, options, normals[i, j], chance)
+
+
+@kernel
+def _begin_arc(state: Vector, time_s: float, warm: bool, options: SignalOptions, normal: Vector, chance: Vector) -> None:
+    state[SINCE] = time_s - _WARM_LOCK_S * (0.1 + chance[1]) if warm else time_s
+    state[AMBIGUITY] = np.floor(2000.0 * chance[2]) - 1000.0
+    state[HALF] = 1.0 if not warm and chance[3] < options.half_cycle_share else 0.0
+    state[CODE_MULTIPATH], state[PHASE_MULTIPATH], state[FADING] = normal[0], normal[1], normal[2]
+    state[SLIPPED] = 0.0 if warm else 1.0
+
+
+@kernel
+def _continue_arc(state: Vector, time_s: float, step_s: float, options: SignalOptions, normal: Vector, chance: Vector) -> None:
+    """Let multipath and fading drift (first order Gauss-Markov, unit variance) and slip now and then."""
+    keep = exp(-step_s / options.multipath_time_s)
+    fresh = sqrt(1.0 - keep * keep)
+    state[CODE_MULTIPATH] = keep * state[CODE_MULTIPATH] + fresh * normal[0]
+    state[PHASE_MULTIPATH] = keep * state[PHASE_MULTIPATH] + fresh * normal[1]
+    keep = exp(-step_s / options.fading_time_s)
+    state[FADING] = keep * state[FADING] + sqrt(1.0 - keep * keep) * normal[2]
+    state[SLIPPED] = 0.0
+    if chance[0] * 3600.0 < options.slips_per_hour * step_s:
+        state[SINCE], state[SLIPPED] = time_s, 1.0
+        state[HALF] = 1.0 if chance[3] < options.half_cycle_share else 0.0
+        size = 1.0 + np.floor(5.0 * chance[2])
+        state[AMBIGUITY] += size if chance[1] < 0.5 else -size
+
+
+@kernel
+def measure(
+    rows: Matrix, states: Matrix, geometry: Matrix, rates_mps: Vector, track: Cube, signals: NDArray[np.int16], carriers_hz: Matrix,
+    channels: NDArray[np.int8], code_biases_m: Matrix, phase_biases_cyc: Matrix, time_s: float, clock_s: float, clock_rate: float,
+    options: SignalOptions, normals: Cube, index: NDArray[np.int64], flags: NDArray[np.uint8], halves: NDArray[np.bool_], values: Matrix,
+) -> int:  # fmt: skip
+    """Write all measurements of an epoch and return how many: ``index`` (satellite row * SLOTS + slot), flags, values (VALUES, .).
+
+    ``halves`` says where a resolved half cycle is subtracted. Biases are by system and slot; clock in s and s/s.
+    """
+    count = 0
+    for i in range(track.shape[0]):
+        system = int(rows[i, 1]) // 64
+        for j in range(SLOTS):
+            state = track[i, j]
+            if np.isnan(state[SINCE]) or signals[i, j] < 0:
+                continue
+            lock_s, wavelength_m = time_s - state[SINCE], _C / carriers_hz[i, j]
+            slope_m = options.glonass_slope_m * channels[i] if system == GLONASS else 0.0
+            common_m = geometry[i, RANGE] + _C * (clock_s - states[i, STATE_CLOCK]) + geometry[i, TROPOSPHERE_M] + slope_m
+            ionosphere_m = geometry[i, IONOSPHERE_L1_M] * (_L1_HZ / carriers_hz[i, j]) ** 2
+            values[CN0, count] = _cn0_dbhz(geometry[i, ELEVATION], j, state[FADING], options) + 0.4 * normals[i, j, 3]
+            noise = 10.0 ** ((_REFERENCE_CN0 - values[CN0, count]) / 20.0)
+            reflected = exp(-geometry[i, ELEVATION] / 0.349)
+            code_m = options.code_sigma_m * noise * normals[i, j, 4] + options.code_multipath_m * reflected * state[CODE_MULTIPATH]
+            phase_m = options.phase_sigma_m * noise * normals[i, j, 5] + options.phase_multipath_m * reflected * state[PHASE_MULTIPATH]
+            delay_m = group_delay_m(rows[i], signals[i, j]) + code_biases_m[system, j]
+            resolved = lock_s >= options.half_cycle_time_s
+            half_cyc = 0.0 if resolved else 0.5 * state[HALF]
+            rate_mps = rates_mps[i] + _C * (clock_rate - states[i, STATE_CLOCK_RATE]) + options.rate_sigma_mps * noise * normals[i, j, 6]
+            values[PSEUDORANGE, count] = common_m + ionosphere_m + delay_m + code_m
+            cycles = (common_m - ionosphere_m + phase_m) / wavelength_m
+            values[PHASE, count] = cycles + state[AMBIGUITY] + half_cyc + phase_biases_cyc[system, j]
+            values[DOPPLER, count] = -rate_mps / wavelength_m
+            values[LOCK, count] = lock_s
+            values[CODE_SIGMA, count] = options.code_sigma_m * noise
+            values[PHASE_SIGMA, count] = options.phase_sigma_m * noise / wavelength_m
+            flags[count] = (0 if resolved else HALF_CYCLE) | (SLIP if state[SLIPPED] > 0.0 else 0)
+            halves[count] = resolved and state[HALF] > 0.0
+            index[count] = i * SLOTS + j
+            count += 1
+    return count
+
+
+@kernel
+def _cn0_dbhz(elevation_rad: float, slot: int, fading: float, options: SignalOptions) -> float:
+    span = options.zenith_cn0_dbhz - options.horizon_cn0_dbhz
+    open_sky = options.horizon_cn0_dbhz + span * max(sin(elevation_rad), 0.0) ** 0.7
+    return max(open_sky + options.second_signal_db * slot + options.fading_sigma_db * fading, 20.0)

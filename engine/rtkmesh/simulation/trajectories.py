@@ -1,0 +1,124 @@
+"""Where a vehicle is and how it stands at any time, as closed forms of absolute time: every process finds the same truth.
+
+The vehicle moves in the east-north-up frame of a site. Its body frame is x forward, y right, z down; attitude is heading (clockwise
+from north), pitch (nose up) and roll (right side down), applied in this order.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import atan2, cos, pi, sin
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_VELOCITY_STEP_S: Final = 0.01  # half-width of central differences; their error stays below 1e-6 m/s in all trajectories
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Position of the body's origin in the site's ENU frame and attitude."""
+
+    position_enu_m: tuple[float, float, float]
+    heading_rad: float = 0.0
+    pitch_rad: float = 0.0
+    roll_rad: float = 0.0
+
+
+Trajectory = Callable[[float], Pose]  # of seconds since the sky's REFERENCE
+
+
+def static(_time_s: float) -> Pose:
+    """Stand at the site, level, heading north-east."""
+    return Pose((0.0, 0.0, 0.0), heading_rad=pi / 4.0)
+
+
+_LOOP_S: Final = 120.0  # time of one figure of eight
+_DRIVE_S: Final = 240.0  # two loops, then ...
+_TURN_S: Final = 60.0  # ... one turn on the spot
+_EAST_M, _NORTH_M = 200.0, 100.0  # half extents of the figure
+
+
+def driving(time_s: float) -> Pose:
+    """Drive figures of eight with stops (0 to 15 m/s), and between them turn on the spot by 360 degrees; cycle of 5 min."""
+    phase_s = time_s % (_DRIVE_S + _TURN_S)
+    if phase_s < _DRIVE_S:
+        way = 2.0 * pi * phase_s / _LOOP_S
+        theta = way - sin(4.0 * way) / 4.0  # speed from zero to twice its mean four times a loop
+        spin = 0.0
+    else:
+        theta, part = 0.0, (phase_s - _DRIVE_S) / _TURN_S
+        spin = 2.0 * pi * part - sin(2.0 * pi * part)
+    east, north = _EAST_M * sin(theta), _NORTH_M * sin(2.0 * theta)
+    heading = atan2(_EAST_M * cos(theta), 2.0 * _NORTH_M * cos(2.0 * theta)) + spin
+    up = 0.5 * sin(theta) + 0.02 * sin(2.0 * pi * time_s / 3.0)
+    return Pose((east, north, up), heading % (2.0 * pi), 0.03 * sin(2.0 * pi * time_s / 7.5), 0.02 * sin(2.0 * pi * time_s / 5.0))
+
+
+def boat(time_s: float) -> Pose:
+    """Circle slowly (radius 60 m, 1.9 m/s) on waves: heave, yaw, roll and pitch."""
+    turn = 2.0 * pi * time_s / 200.0
+    heading = (turn + 0.12 * sin(2.0 * pi * time_s / 8.0)) % (2.0 * pi)
+    position = (-60.0 * cos(turn), 60.0 * sin(turn), 0.3 * sin(2.0 * pi * time_s / 4.0))
+    return Pose(position, heading, 0.06 * sin(2.0 * pi * time_s / 4.0 + 1.0), 0.14 * sin(2.0 * pi * time_s / 5.0))
+
+
+def enu_from_body(pose: Pose) -> Matrix:
+    """Return the rotation (3x3) that takes body vectors (forward, right, down) to east, north, up."""
+    sh, ch = sin(pose.heading_rad), cos(pose.heading_rad)
+    sp, cp, sr, cr = sin(pose.pitch_rad), cos(pose.pitch_rad), sin(pose.roll_rad), cos(pose.roll_rad)
+    north = (ch * cp, ch * sp * sr - sh * cr, ch * sp * cr + sh * sr)
+    east = (sh * cp, sh * sp * sr + ch * cr, sh * sp * cr - ch * sr)
+    down = (-sp, cp * sr, cp * cr)
+    return np.array((east, north, (-down[0], -down[1], -down[2])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Site:
+    """Origin of a site's ENU frame."""
+
+    lat_rad: float
+    lon_rad: float
+    height_m: float
+
+    def ecef_from_enu(self) -> Matrix:
+        """Return the rotation (3x3) that takes ENU vectors of this site to ECEF."""
+        return np.ascontiguousarray(enu_from_ecef(self.lat_rad, self.lon_rad).T)
+
+    def origin_ecef_m(self) -> Vector:
+        """Return the origin in ECEF."""
+        return ecef_from_geodetic(self.lat_rad, self.lon_rad, self.height_m)
+
+
+class AntennaPath:
+    """The motion of one antenna: fixed in the body of a moving vehicle, or standing at a place of the site (no trajectory)."""
+
+    def __init__(self, site: Site, trajectory: Trajectory | None, offset_m: tuple[float, float, float]) -> None:
+        """``offset_m``: lever arm in the body (forward, right, down) or, without a trajectory, the place in ENU."""
+        self._origin_ecef_m = site.origin_ecef_m()
+        self._turn = site.ecef_from_enu()
+        self._trajectory = trajectory
+        self._offset = np.array(offset_m)
+
+    def offset_enu_m(self, time_s: float) -> Vector:
+        """Return the antenna's position in the site's ENU frame."""
+        if self._trajectory is None:
+            return self._offset
+        pose = self._trajectory(time_s)
+        return np.array(pose.position_enu_m) + enu_from_body(pose) @ self._offset
+
+    def position_ecef_m(self, time_s: float) -> Vector:
+        """Return the antenna's position."""
+        return self._origin_ecef_m + self._turn @ self.offset_enu_m(time_s)
+
+    def velocity_ecef_mps(self, time_s: float) -> Vector:
+        """Return the antenna's velocity (central difference)."""
+        if self._trajectory is None:
+            return np.zeros(3)
+        h = _VELOCITY_STEP_S
+        return self._turn @ (self.offset_enu_m(time_s + h) - self.offset_enu_m(time_s - h)) / (2.0 * h)

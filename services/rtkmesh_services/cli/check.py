@@ -1,0 +1,76 @@
+"""``rtkmesh check``: every fault of a deployment file at once."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+
+from rtkmesh_schemas.config import Deployment
+from rtkmesh_schemas.errors import ConfigError
+from rtkmesh_services.cli.network import EXIT_OK, EXIT_USAGE, Json
+from rtkmesh_services.errors import SourceError
+
+
+def check(
+    file: Annotated[Path, Parameter(help="The deployment file (TOML).")],
+    /,
+    *,
+    data: Annotated[Path | None, Parameter(help="Folder of the recordings: what {data} stands for.")] = None,
+    as_json: Json = False,
+) -> int:
+    """Check a deployment file: every fault with its line, the key, the allowed values and the nearest right name.
+
+    Exit codes: 0 right, 2 faults.
+    """
+    from rtkmesh_services.runtime.configuration import ConfigErrors, load_site
+
+    errors: list[ConfigError] = []
+    deployment: Deployment | None = None
+    try:
+        deployment = load_site(file, data).deployment
+    except ConfigErrors as error:
+        errors = error.errors
+    else:
+        errors = _source_errors(file, deployment)
+    if as_json:
+        rows = [{"file": error.file, "line": error.line, "message": error.message} for error in errors]
+        sys.stdout.write(msgspec.json.encode({"ok": not errors, "errors": rows, "processes": _processes(deployment)}).decode() + "\n")
+    else:
+        for error in errors:
+            sys.stderr.write(f"{error}\n")
+        if not errors and deployment is not None:
+            rows = _processes(deployment)
+            sys.stdout.write(f"{file}: right; {len(rows)} processes: {', '.join(row['id'] for row in rows)}\n")
+    return EXIT_USAGE if errors else EXIT_OK
+
+
+def _source_errors(file: Path, deployment: Deployment) -> list[ConfigError]:
+    """Return the faults of the sources' URLs, and files that are not there."""
+    from rtkmesh_services.ingest.urls import parse_source
+    from rtkmesh_services.runtime.logs import clean
+    from rtkmesh_services.runtime.toml_lines import lines_of
+
+    lines = lines_of(file.read_text())
+    errors: list[ConfigError] = []
+    for id, table in deployment.ingest.items():  # noqa: A001  the word of the design
+        try:
+            source = parse_source(table.source)
+            _ = source.speed
+            if source.scheme == "file" and not Path(source.path).is_file():
+                raise SourceError(f"{source.path!r}: no such file")
+        except SourceError as error:
+            line = lines.get(("ingest", id, "source"))
+            errors.append(ConfigError(str(file), line, f"[ingest.{id}] source: {clean(str(error))}"))
+    return errors
+
+
+def _processes(deployment: Deployment | None) -> list[dict[str, Any]]:
+    if deployment is None:
+        return []
+    rows = [{"role": "hub", "id": "hub"}] if deployment.hub.enabled else []
+    rows += [{"role": "control", "id": "control"}] if deployment.control.enabled else []
+    for role in ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor"):
+        rows += [{"role": role, "id": id} for id in getattr(deployment, role)]  # noqa: A001  the word of the design
+    return rows

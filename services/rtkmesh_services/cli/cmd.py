@@ -1,0 +1,116 @@
+"""``rtkmesh cmd``: ask a process, or all, to do something."""
+
+import json
+import sys
+from typing import Annotated, Any
+
+from cyclopts import App, Parameter
+
+from rtkmesh_schemas.command import Code, Reply
+from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, EXIT_USAGE, Connect, Json, Namespace, exit_code, reach
+
+# An operation's first bare words, in order: ``load FILE`` is load with file=FILE.
+_POSITIONAL = {
+    "load": ("file",),
+    "log": ("level",),
+    "get": ("key",),
+    "set": ("key", "value"),
+    "option": ("key", "value"),
+    "start": ("id",),
+    "stop": ("id",),
+    "restart": ("id",),
+    "output": ("id", "lines"),
+}
+
+_EXAMPLES = """\
+[bold]Examples[/bold]
+
+  rtkmesh cmd rover_rtk stop
+  rtkmesh cmd rover_rtk load night.toml
+  rtkmesh cmd '*' status --json
+  rtkmesh cmd control restart id=rover
+
+Exit codes: 0 done, 1 failed, 2 wrong usage, 3 not reachable, 4 refused, 124 no answer in time.
+"""
+
+app = App(name="cmd", help_epilogue=_EXAMPLES, help_format="rich")
+
+
+@app.default
+def cmd(
+    id: Annotated[str, Parameter(help="The process's id, or '*' for all.")],  # noqa: A002  the word of the design
+    op: Annotated[str, Parameter(help="What to do: status, help, config, metrics, log, shutdown, and what its role can.")],
+    /,
+    *args: Annotated[str, Parameter(help="Arguments: name=value, or a bare word where one is usual (load FILE).")],
+    timeout: Annotated[float, Parameter(help="Seconds until the answer counts as missing.")] = 2.0,
+    as_json: Json = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    namespace: Namespace = "",
+) -> int:
+    """Ask a process to do something and print its answer.
+
+    An empty answer is turned into its cause: absent, hung, or refused. The same can be asked by any Zenoh program with a get
+    on rtk/ID/cmd (JSON, msgpack, or ?op=status).
+    """
+    from rtkmesh_services.runtime.calls import call
+
+    values = arguments(op, args)
+    if values is None:
+        return EXIT_USAGE
+    with reach(connect, namespace) as bus:
+        replies = call(bus, id, op, values, timeout)
+    if as_json:
+        _print_json(id, replies)
+    else:
+        for reply in replies:
+            _print(reply)
+    return exit_code(replies)
+
+
+def arguments(op: str, words: tuple[str, ...]) -> dict[str, Any] | None:
+    """Return the arguments in the words of a command line; None after having said what is wrong."""
+    values: dict[str, Any] = {}
+    names = iter(_POSITIONAL.get(op, ()))
+    for word in words:
+        name, sign, value = word.partition("=")
+        if not sign or not name.replace("_", "").replace(".", "").isalnum():
+            name, value = next(names, ""), word
+            if not name:
+                sys.stderr.write(f"rtkmesh cmd: {word!r} is no argument of {op}: write name=value\n")
+                return None
+        values[name] = _value(value)
+    return values
+
+
+def _value(text: str) -> Any:
+    """Return numbers, true, false and JSON lists as such, everything else as text."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _print_json(id: str, replies: list[Reply]) -> None:  # noqa: A002
+    from rtkmesh_schemas.wire import encode_json
+
+    sys.stdout.write(encode_json(replies if id == "*" or len(replies) != 1 else replies[0]).decode() + "\n")
+
+
+def _print(reply: Reply) -> None:
+    out = sys.stdout if reply.ok else sys.stderr
+    head = f"{reply.id}: " if reply.id else ""
+    verdict = "" if reply.code is Code.OK else f"{reply.code.value}: "
+    state = f" [{reply.state}]" if reply.state else ""
+    out.write(f"{head}{verdict}{reply.message}{state}\n")
+    for name, value in reply.data.items():
+        _print_value(name, value, out, 1)
+
+
+def _print_value(name: str, value: Any, out: Any, depth: int) -> None:
+    indent = "  " * depth
+    if isinstance(value, dict) and value:
+        out.write(f"{indent}{name}:\n")
+        for inner, item in value.items():  # pyright: ignore[reportUnknownVariableType]  any plain data
+            _print_value(str(inner), item, out, depth + 1)  # pyright: ignore[reportUnknownArgumentType]
+    elif value not in ({}, [], None, ""):
+        out.write(f"{indent}{name}: {value if isinstance(value, (str, int, float)) else json.dumps(value)}\n")

@@ -1,0 +1,90 @@
+"""The command ``rtkmesh``: a table of subcommands, each imported when it is used.
+
+Exit codes of every subcommand: 0 done, 1 not done (no solution, no answer), 2 wrong usage or input, 3 no network or process
+reached, 4 refused, 124 no answer in time, 130 interrupted.
+"""
+
+import os
+import sys
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Final
+
+from cyclopts import App, CycloptsError
+
+from rtkmesh import __version__
+
+EXIT_DONE, EXIT_NOT_DONE, EXIT_USAGE, EXIT_UNREACHABLE, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
+
+# name -> (where, one line of help)
+COMMANDS: Final[dict[str, tuple[str, str]]] = {
+    "solve": ("rtkmesh_services.cli.solve:app", "Solve recordings offline (RINEX, UBX, RTCM 3) and write RTKLIB's .pos format."),
+    "demo": ("rtkmesh_services.cli.demo:demo", "Run everything on simulated receivers, with the truth beside it."),
+    "up": ("rtkmesh_services.cli.up:up", "Run all processes of a deployment file."),
+    "run": ("rtkmesh_services.cli.run:run", "Run one process of a deployment in the foreground."),
+    "cmd": ("rtkmesh_services.cli.cmd:app", "Ask a process to do something: start, stop, restart, load FILE, status, shutdown, help."),
+    "status": ("rtkmesh_services.cli.status:status", "Show the state of all processes of a running network."),
+    "top": ("rtkmesh_services.cli.top:top", "Watch a running network: positions, headings, processes."),
+    "echo": ("rtkmesh_services.cli.echo:app", "Print messages as they come."),
+    "check": ("rtkmesh_services.cli.check:check", "Check a deployment file: every fault with line, key and nearest name."),
+    "warm": ("rtkmesh_services.cli.warm:warm", "Compile the engine's kernels into the cache."),
+    "keys": ("rtkmesh_services.cli.show:keys", "Print the table of keys."),
+    "schema": ("rtkmesh_services.cli.show:schema", "Print the JSON Schema of a message or of the deployment file."),
+}
+
+
+def application(name: str) -> App:
+    """Return the command line with the subcommand ``name`` imported, or, for ``--help``, with the table of all of them."""
+    app = App(
+        name="rtkmesh",
+        help="GNSS positioning for robots: raw signals of antennas to centimetre positions and attitudes.",
+        version=__version__,
+    )
+    if name in COMMANDS:
+        module, _, attribute = COMMANDS[name][0].partition(":")
+        app.command(getattr(import_module(module), attribute), name=name)
+        return app
+    for command, (where, text) in COMMANDS.items():
+        app.command(where, name=command, help=text)
+    return app
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line and return its exit code."""
+    from rtkmesh.errors import RtkmeshError
+    from rtkmesh_schemas.errors import SchemaError
+    from rtkmesh_services.errors import ServiceError, UnreachableError
+
+    name = arguments[0] if arguments else "--help"
+    if not name.startswith("-") and name not in COMMANDS:
+        return _unknown(name)
+    try:
+        result = application(name)(arguments, exit_on_error=False, result_action="return_value")
+    except CycloptsError:  # printed by cyclopts
+        return EXIT_USAGE
+    except (RtkmeshError, SchemaError, ServiceError) as error:
+        sys.stderr.write(f"rtkmesh: {error}\n")
+        return EXIT_UNREACHABLE if isinstance(error, UnreachableError) else EXIT_USAGE
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_NOT_DONE
+    return result if isinstance(result, int) else EXIT_DONE
+
+
+def main() -> None:
+    """Run the command line and end the process with its exit code."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads only cost time and memory
+    sys.exit(run(sys.argv[1:]))
+
+
+def _unknown(name: str) -> int:
+    near = get_close_matches(name, COMMANDS, 1)
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    sys.stderr.write(f"rtkmesh: there is no command '{name}'{hint} (commands: {', '.join(COMMANDS)})\n")
+    return EXIT_USAGE
+
+
+if __name__ == "__main__":
+    main()

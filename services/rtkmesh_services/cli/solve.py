@@ -1,0 +1,249 @@
+"""``rtkmesh solve``: recordings in, RTKLIB's .pos format out. The engine is imported when the command runs, not for its help."""
+
+import sys
+import tomllib
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from math import degrees, isfinite, radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, cast
+
+import msgspec
+from cyclopts import App, Parameter
+
+from rtkmesh import __version__
+from rtkmesh_schemas.config import ModeName, SolverTable
+from rtkmesh_schemas.errors import ConfigError
+from rtkmesh_services.errors import SourceError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rtkmesh.gnss.time import GpsTime
+    from rtkmesh.rtk.solution import Solution
+    from rtkmesh_services.cli.offline import Run
+    from rtkmesh_services.cli.solve_display import ProgressBar
+
+Position = tuple[float, float, float]
+
+_SOLVED, _UNSOLVED = 0, 1
+# key of the solver table -> flag and what it allows (cyclopts checks --mode itself)
+_FLAGS_OF_KEYS = {
+    "systems": ("systems", "the letters GRECJSI"),
+    "frequencies": ("frequencies", "1 to 5"),
+    "elevation_mask_deg": ("elmask", "0 to 90 degrees"),
+}
+
+
+_EXAMPLES = """\
+[bold]Examples[/bold]
+
+  rtkmesh solve --rover rover.obs --base base.obs --nav base.nav --out rover.pos
+  rtkmesh solve --rover rover.ubx --base base.ubx --base-llh=52.1,4.4,43.2
+  rtkmesh solve --rover rover.rtcm3 --base base.rtcm3 --date 2018-07-14 --json
+  rtkmesh solve --mode moving-base --rover front.ubx --base rear.ubx --format enu
+  rtkmesh solve --mode single --rover rover.ubx.gz
+
+"""
+
+app = App(name="solve", help_epilogue=_EXAMPLES, help_format="rich")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """The options of ``rtkmesh solve``."""
+
+    rover: Annotated[Path, Parameter(help="Recording of the receiver to be positioned.")]
+    base: Annotated[Path | None, Parameter(help="Recording of the reference receiver; not needed in mode single.")] = None
+    nav: Annotated[
+        tuple[Path, ...], Parameter(negative="", show_default=False, help="Further recording with navigation data; may be repeated.")
+    ] = ()
+    mode: Annotated[ModeName | None, Parameter(help="What moves. Default: kinematic.")] = None
+    frequencies: Annotated[int | None, Parameter(help="Carrier bands used per satellite, 1 to 5. Default: 2.")] = None
+    systems: Annotated[
+        str | None,
+        Parameter(help="Systems used, as RINEX letters: G GPS, R GLONASS, E Galileo, C BeiDou, J QZSS, I NavIC. Default: GREJC."),
+    ] = None
+    elmask: Annotated[float | None, Parameter(help="Elevation mask in degrees. Default: 15.")] = None
+    base_ecef: Annotated[
+        str | None,
+        Parameter(
+            help="Position of the base antenna as X,Y,Z in metres, written with '=': --base-ecef=X,Y,Z. "
+            "Default: what its recording says (RTCM 1005/1006 or the RINEX header)."
+        ),
+    ] = None
+    base_llh: Annotated[str | None, Parameter(help="The same as LAT,LON,H in degrees and metres above the ellipsoid.")] = None
+    date: Annotated[
+        str | None,
+        Parameter(help="Day on which RTCM 3 logs begin, YYYY-MM-DD: they carry no date. Not needed beside a dated recording."),
+    ] = None
+    config: Annotated[
+        Path | None, Parameter(help="TOML file with one table [solver.NAME], or with that table's keys alone; flags overrule it.")
+    ] = None
+    out: Annotated[Path | None, Parameter(help="The .pos file. Default: standard output.")] = None
+    coordinates: Annotated[
+        Literal["llh", "xyz", "enu"], Parameter(name="--format", help="Coordinates: geodetic, ECEF, or the baseline east-north-up.")
+    ] = "llh"
+    time_form: Annotated[Literal["calendar", "tow"], Parameter(help="Date and time of day, or GPS week and seconds of week.")] = "calendar"
+    as_json: Annotated[
+        bool,
+        Parameter(
+            name="--json",
+            negative="",
+            show_default=False,
+            help="Summary as JSON on standard output; the .pos is then only written with --out.",
+        ),
+    ] = False
+    quiet: Annotated[bool, Parameter(negative="", show_default=False, help="No progress bar and no summary.")] = False
+
+
+@app.default
+def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
+    """Solve recordings offline, with the engine of the running system, and write RTKLIB's .pos format.
+
+    Recordings are RINEX 2 and 3 (also Hatanaka), UBX and RTCM 3 logs, or logs that mix these, plain or compressed; the kind is
+    found from the content. UBX and RTCM 3 logs bring their own navigation data. The defaults need no tuning.
+
+    Exit codes: 0 solved, 1 not one epoch could be solved, 2 wrong usage or a file that cannot be read.
+    """
+    table = _solver_table(request)
+    if request.base is None and table.mode != "single":
+        raise SourceError(f"mode '{table.mode}' needs --base (or say --mode single)")
+    position = _base_position(request)
+    date = _date(request.date) if request.date else None
+
+    from rtkmesh_services.cli.offline import Run, open_inputs
+    from rtkmesh_services.cli.solve_display import ProgressBar, report
+    from rtkmesh_services.mapping.options import session_options
+
+    inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date)
+    run = Run(inputs, session_options(table, replay=True, base_position_ecef_m=position))
+    with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()) as bar:
+        _write(run, run.solutions(), request, output, bar)
+    report(run, as_json=request.as_json, quiet=request.quiet)
+    return _SOLVED if run.tally.solved else _UNSOLVED
+
+
+def _solver_table(request: Request) -> SolverTable:
+    """Return the solver's table: the configuration file's or the defaults, overruled by the flags."""
+    flags = {
+        "mode": request.mode,
+        "systems": request.systems,
+        "frequencies": request.frequencies,
+        "elevation_mask_deg": request.elmask,
+    }
+    table = _configured(request.config) if request.config else SolverTable(rover="rover")
+    content = msgspec.to_builtins(table) | {name: value for name, value in flags.items() if value is not None}
+    content |= {"rover": "rover", "base": "base", "navigation": [f"nav{k}" for k in range(len(request.nav))]}
+    try:
+        return msgspec.convert(content, SolverTable)
+    except msgspec.ValidationError as error:
+        key = str(error).rpartition("`$.")[2].rstrip("`")
+        flag, allowed = _FLAGS_OF_KEYS[key]
+        raise SourceError(f"--{flag} {flags[key]}: allowed are {allowed}") from error
+
+
+def _configured(path: Path) -> SolverTable:
+    """Return the one solver of a solver file ([solver]) or of a deployment file ([solver.NAME]); ConfigError names all faults."""
+    from rtkmesh_services.runtime.configuration import load_deployment, load_solver_table
+
+    path = path.resolve()
+    if not _has_named_solvers(path):
+        return load_solver_table(path.name, path.parent)
+    tables = load_deployment(path).solver
+    if len(tables) != 1:
+        raise ConfigError(str(path), None, f"has {len(tables)} solvers ({', '.join(tables)}); a file with one is needed here")
+    return next(iter(tables.values()))
+
+
+def _has_named_solvers(path: Path) -> bool:
+    try:
+        solvers = tomllib.loads(path.read_text()).get("solver")
+    except (OSError, ValueError):  # the loaders say it better
+        return False
+    return isinstance(solvers, dict) and all(isinstance(value, dict) for value in cast("dict[str, Any]", solvers).values())
+
+
+def _base_position(request: Request) -> Position | None:
+    """Return the given base position in ECEF metres, or None."""
+    if request.base_ecef is not None and request.base_llh is not None:
+        raise SourceError("--base-ecef and --base-llh are both given")
+    if request.base_ecef is not None:
+        position = _three_numbers("--base-ecef", request.base_ecef)
+        radius_m = sum(value * value for value in position) ** 0.5
+        if not 6.2e6 < radius_m < 7.5e6:
+            raise SourceError(f"--base-ecef={request.base_ecef} is {radius_m / 1e3:.0f} km from the earth's centre")
+        return position
+    if request.base_llh is None:
+        return None
+    latitude_deg, longitude_deg, height_m = _three_numbers("--base-llh", request.base_llh)
+    if not (-90.0 <= latitude_deg <= 90.0 and -360.0 <= longitude_deg <= 360.0 and -12e3 <= height_m <= 1e6):
+        raise SourceError(f"--base-llh={request.base_llh} is no latitude, longitude (degrees) and height (metres)")
+    from rtkmesh.gnss.frames import ecef_from_geodetic
+
+    x, y, z = ecef_from_geodetic(radians(latitude_deg), radians(longitude_deg), height_m).tolist()
+    return x, y, z
+
+
+def _three_numbers(flag: str, text: str) -> Position:
+    try:
+        a, b, c = (float(part) for part in text.split(","))
+    except ValueError:
+        raise SourceError(f"{flag}={text} is not three numbers with commas between") from None
+    return a, b, c
+
+
+def _date(text: str) -> "GpsTime":
+    """Return noon of a day, the middle of what a log of that day can begin at."""
+    from rtkmesh.gnss.time import GpsTime
+
+    try:
+        year, month, day = (int(part) for part in text.split("-"))
+        return GpsTime.from_calendar(year, month, day, 12)
+    except ValueError:
+        raise SourceError(f"--date {text} is no day YYYY-MM-DD") from None
+
+
+def _output(request: Request) -> AbstractContextManager[TextIO | None]:
+    """Return the open output, or None where only a summary is wanted."""
+    if request.out is None:
+        return nullcontext(None if request.as_json else sys.stdout)
+    try:
+        return request.out.open("w", encoding="ascii")
+    except OSError as error:
+        raise SourceError(f"{request.out}: {error.strerror}") from error
+
+
+def _write(run: "Run", results: "Iterator[Solution]", request: Request, output: TextIO | None, bar: "ProgressBar") -> None:
+    """Write the header before the first solution, then a line per solution as it comes."""
+    from rtkmesh.codecs.pos import Coordinates, PosFormat, TimeForm, pos_header, pos_line
+
+    form = PosFormat(Coordinates(request.coordinates), TimeForm(request.time_form))
+    headed = False
+    for solution in results:
+        bar.advance()
+        if output is None:
+            continue
+        if not headed:
+            output.write(pos_header(form, f"rtkmesh {__version__}", _notes(run, solution)))
+            headed = True
+        output.write(pos_line(solution, form))
+
+
+def _notes(run: "Run", first: "Solution") -> list[tuple[str, str]]:
+    """Return the notes of the .pos header, in RTKLIB's words."""
+    from rtkmesh.codecs.pos import position_note, time_note
+
+    options = run.options.rtk
+    notes = [("inp file", str(recording.path)) for recording in run.inputs.all()]
+    notes += [
+        ("obs start", time_note(first.time)),
+        ("pos mode", options.mode.value),
+        ("freqs", str(options.frequencies)),
+        ("elev mask", f"{degrees(options.elevation_mask_rad):.1f} deg"),
+        ("navi sys", options.systems),
+        ("amb res", options.ambiguity.mode.value),
+        ("val thres", f"{options.ambiguity.ratio:.1f}"),
+    ]
+    base = first.base_ecef_m.tolist()
+    return [*notes, ("ref pos", position_note(base))] if all(map(isfinite, base)) else notes

@@ -1,0 +1,73 @@
+"""What ``rtkmesh solve`` shows: a progress bar on a terminal, a summary table on standard error, or JSON on standard output."""
+
+import json
+import sys
+from types import TracebackType
+from typing import Final, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from rtkmesh.rtk.solution import Status
+from rtkmesh_services.cli.offline import Run
+
+_DRAW_EVERY: Final = 50  # epochs
+
+
+class ProgressBar:
+    """A bar over the bytes of the recordings, on standard error; draws nothing unless ``shown``."""
+
+    def __init__(self, run: Run, *, shown: bool) -> None:
+        self._run, self._countdown = run, 1
+        self._progress: Progress | None = None
+        if shown:
+            columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+            self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
+
+    def __enter__(self) -> Self:
+        if self._progress is not None:
+            self._task = self._progress.add_task("solving", total=self._run.inputs.size)
+            self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+
+    def advance(self) -> None:
+        """Count one epoch; draw now and then."""
+        self._countdown -= 1
+        if self._progress is None or self._countdown > 0:
+            return
+        self._countdown = _DRAW_EVERY
+        tally = self._run.tally
+        text = f"{tally.epochs} epochs, {tally.percent(Status.FIX):.1f} % fixed"
+        self._progress.update(self._task, completed=self._run.inputs.position, description=text)
+
+
+def report(run: Run, *, as_json: bool, quiet: bool) -> None:
+    """Print the summary; what the recordings held that could not be used is part of it."""
+    if as_json:
+        sys.stdout.write(json.dumps({**run.tally.as_dict(), "rejected": run.faults()}, indent=1) + "\n")
+    elif not quiet:
+        Console(stderr=True).print(_table(run))
+
+
+def _table(run: Run) -> Table:
+    tally = run.tally
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("epochs", str(tally.epochs))
+    for status in (Status.FIX, Status.FLOAT, Status.DGPS, Status.SINGLE, Status.NONE):
+        if tally.statuses[status]:
+            table.add_row(status.name.lower(), f"{tally.percent(status):.1f} %")
+    if tally.first_fix_s is not None:
+        table.add_row("first fix", f"after {tally.first_fix_s:.1f} s")
+    table.add_row("largest age", f"{tally.largest_age_s:.1f} s")
+    table.add_row("solving", f"{1e3 * tally.solving_s / max(1, tally.epochs):.2f} ms an epoch, {tally.total_s:.1f} s in all")
+    for reason, count in tally.reasons.most_common(4):
+        table.add_row("why not RTK", f"{reason.name.lower().replace('_', ' ')}: {count} epochs")
+    for name, counts in run.faults().items():
+        for reason, count in sorted(counts.items(), key=lambda item: -item[1])[:3]:
+            table.add_row("rejected", f"{name}: {reason} ({count})")
+    return table

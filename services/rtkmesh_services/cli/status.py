@@ -1,0 +1,111 @@
+"""``rtkmesh status``: the state of all processes of a running network."""
+
+import sys
+import time
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+
+from rtkmesh_schemas.command import Reply
+from rtkmesh_schemas.status import InputStatus, ServiceStatus, State
+from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, EXIT_FAILED, EXIT_OK, EXIT_UNREACHABLE, Connect, Json, Namespace, reach
+from rtkmesh_services.runtime.logs import clean
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_COLOURS = {
+    State.RUNNING: "green",
+    State.DEGRADED: "yellow",
+    State.STALE: "yellow",
+    State.FAILED: "red",
+    State.STOPPED: "dim",
+    State.WARMING: "cyan",
+    State.STARTING: "cyan",
+}
+
+
+def status(
+    *,
+    watch: Annotated[bool, Parameter(name=["--watch", "-w"], negative="", help="Show it again every second until Ctrl-C.")] = False,
+    timeout: Annotated[float, Parameter(help="Seconds until a silent process counts as hung.")] = 1.0,
+    as_json: Json = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    namespace: Namespace = "",
+) -> int:
+    """Show the state of all processes of a running network, also of those that are there and do not answer.
+
+    Exit codes: 0 all well, 1 a process has failed or does not answer, 3 no network or nobody on it.
+    """
+    from rtkmesh_services.runtime.calls import call
+
+    with reach(connect, namespace) as bus:
+        while True:
+            replies = call(bus, "*", "status", {}, timeout)
+            if as_json:
+                sys.stdout.write(msgspec.json.encode([_row(reply) for reply in replies]).decode() + "\n")
+                sys.stdout.flush()
+            else:
+                _print(replies, watch=watch)
+            if not watch:
+                return _exit_code(replies)
+            time.sleep(1.0)
+
+
+def status_of(reply: Reply) -> ServiceStatus | None:
+    """Return the status in a reply, None when the process did not answer with one."""
+    try:
+        return msgspec.convert(reply.data, ServiceStatus) if reply.ok else None
+    except msgspec.ValidationError:
+        return None
+
+
+def _row(reply: Reply) -> dict[str, Any]:
+    return reply.data if reply.ok else {"id": reply.id, "state": reply.code.value.upper(), "reason": reply.message}
+
+
+def _exit_code(replies: list[Reply]) -> int:
+    if not replies:
+        return EXIT_UNREACHABLE
+    found = [status_of(reply) for reply in replies]
+    return EXIT_OK if all(row is not None and row.state is not State.FAILED for row in found) else EXIT_FAILED
+
+
+def _print(replies: list[Reply], *, watch: bool) -> None:
+    from rich.console import Console
+
+    console = Console()
+    if watch and console.is_terminal:
+        console.clear()
+    console.print(_table(replies) if replies else "the hub answers, but no process is on the network")
+
+
+def _table(replies: list[Reply]) -> "Table":
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("id", "role", "state", "up", "inputs", "latency p50/p99 ms", "reason"):
+        table.add_column(name, justify="right" if name == "up" else "left", overflow="fold")
+    for reply in replies:
+        found = status_of(reply)
+        if found is None:
+            table.add_row(reply.id, "", Text(reply.code.value.upper(), "red"), "", "", "", Text(clean(reply.message)))
+            continue
+        latencies = ", ".join(f"{name} {row.p50:.1f}/{row.p99:.1f}" for name, row in found.latencies_ms.items())
+        inputs = ", ".join(_input(row) for row in found.inputs)
+        state = Text(found.state.value, _COLOURS[found.state])
+        table.add_row(found.id, found.role, state, _duration(found.uptime_s), Text(clean(inputs)), latencies, Text(clean(found.reason)))
+    return table
+
+
+def _input(row: InputStatus) -> str:
+    age = "" if row.age_s is None else f" {row.age_s:.1f}s"
+    lost = f" lost {row.lost}" if row.lost else ""
+    return f"{row.name} {row.state}{age}{lost}"
+
+
+def _duration(seconds: float) -> str:
+    minutes, hours = seconds / 60.0, seconds / 3600.0
+    return f"{seconds:.0f}s" if minutes < 2.0 else f"{minutes:.0f}min" if hours < 2.0 else f"{hours:.0f}h"

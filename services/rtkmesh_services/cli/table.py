@@ -1,0 +1,257 @@
+"""The live table of a network: positions, headings, processes. One colour and one word per state, everywhere."""
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from rtkmesh_schemas.attitude import AttitudeMessage
+from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_schemas.status import ServiceStatus, State
+from rtkmesh_services.cli.board import Board, Track
+
+REFRESH_HZ: Final = 4.0
+SILENT_S: Final = 3.0
+_COLOURS: Final = {
+    "FIX": "bold green",
+    "FLOAT": "yellow",
+    "DGPS": "cyan",
+    "SINGLE": "blue",
+    "NONE": "red",
+    "RUNNING": "green",
+    "STARTING": "cyan",
+    "WARMING": "cyan",
+    "STOPPING": "cyan",
+    "WAITING": "yellow",
+    "DEGRADED": "yellow",
+    "STALE": "yellow",
+    "FAILED": "bold red",
+    "STOPPED": "dim",
+    "ok": "green",
+    "failed": "bold red",
+    "unavailable": "dim",
+}
+_DIAGONAL: Final = (0, 4, 8)  # of a row-major 3x3
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What the demo knows: the error of a solution (east, north, up in metres) and of a heading (degrees); None: not known."""
+
+    position: Callable[[str, SolutionMessage], tuple[float, float, float] | None]
+    heading: Callable[[str, AttitudeMessage], float | None]
+
+
+@dataclass(slots=True)
+class View:
+    """What is shown. ``processes`` gives control's rows when control is at hand, else they come from the network."""
+
+    board: Board
+    title: str = "rtkmesh"
+    truth: Truth | None = None
+    processes: Callable[[], list[dict[str, Any]]] | None = None
+    note: Callable[[], str] | None = None
+    started_s: float = field(default_factory=time.monotonic)
+
+    def render(self) -> RenderableType:
+        """Return the whole picture of this moment."""
+        now_ns = time.monotonic_ns()
+        parts: list[RenderableType] = [self._headline()]
+        if self.board.solutions:
+            parts.append(solution_table(self.board.solutions, now_ns, self.truth))
+        if self.board.attitudes:
+            parts.append(attitude_table(self.board.attitudes, now_ns, self.truth))
+        rows = self.processes() if self.processes is not None else None
+        parts.append(process_table(rows if rows is not None else supervised(self.board), self.board.statuses, now_ns))
+        return Group(*parts)
+
+    def _headline(self) -> Text:
+        seconds = int(time.monotonic() - self.started_s)
+        text = Text(f"{self.title}  {seconds // 60:d}:{seconds % 60:02d}", style="bold")
+        if self.note is not None:
+            text.append(f"  {self.note()}", style="not bold")
+        if self.board.lost:
+            text.append(f"  {self.board.lost} messages not shown", style="not bold yellow")
+        return text
+
+
+class Display:
+    """Shows a view on a terminal a few times per second. What is logged meanwhile goes above it."""
+
+    def __init__(self, view: View, console: Console | None = None) -> None:
+        self._console = console or Console()
+        self._live = Live(view.render(), console=self._console, auto_refresh=False, transient=False, redirect_stderr=True)
+        self._view = view
+        self._next_s = 0.0
+
+    def start(self) -> None:
+        """Take the terminal."""
+        self._live.start()
+
+    def refresh(self, now_s: float) -> None:
+        """Draw if it is time."""
+        if now_s >= self._next_s:
+            self._next_s = now_s + 1.0 / REFRESH_HZ
+            self._live.update(self._view.render(), refresh=True)
+
+    def stop(self) -> None:
+        """Draw a last time and give the terminal back."""
+        self._live.update(self._view.render(), refresh=True)
+        self._live.stop()
+
+
+def solution_table(tracks: Mapping[str, Track[SolutionMessage]], now_ns: int, truth: Truth | None) -> Table:
+    """Return the table of the solvers: moving baselines show the baseline, all others the position."""
+    columns = ["solver", "state", "position / baseline", "sigma H, V m", "age s", "ratio", "sats", "latency ms"]
+    table = _table([*columns, *(["error E, N, U m"] if truth else [])], right={3, 4, 5, 6, 7, 8})
+    for id_, track in sorted(tracks.items()):
+        message = track.newest
+        state = _state(message.status_name, track, now_ns)
+        sigma = _pair(*_sigma(message))
+        satellites = f"{message.satellites_used}/{message.satellites_rover}"
+        cells: list[Any] = [
+            id_,
+            state,
+            _place(message),
+            sigma,
+            _number(message.age_s, 1),
+            _number(message.ratio, 1),
+            satellites,
+            _latency(track, now_ns),
+        ]
+        if truth:
+            error = truth.position(id_, message)
+            cells.append("-" if error is None else " ".join(f"{part:+.3f}" for part in error))
+        table.add_row(*cells)
+    return table
+
+
+def attitude_table(tracks: Mapping[str, Track[AttitudeMessage]], now_ns: int, truth: Truth | None) -> Table:
+    """Return the table of the headings."""
+    columns = ["attitude", "state", "integrity", "heading deg", "pitch deg", "length error m", "latency ms"]
+    table = _table([*columns, *(["error deg"] if truth else [])], right={3, 4, 5, 6, 7})
+    for id_, track in sorted(tracks.items()):
+        message = track.newest
+        sigmas = [math.degrees(math.sqrt(message.covariance_rad2[i])) if message.covariance_rad2[i] >= 0.0 else math.nan for i in _DIAGONAL]
+        cells: list[Any] = [
+            id_,
+            _state(message.status_name, track, now_ns),
+            coloured(message.integrity),
+            f"{_number(math.degrees(message.heading_rad), 2)} ± {_number(sigmas[0], 2)}",
+            f"{_number(math.degrees(message.pitch_rad), 2)} ± {_number(sigmas[1], 2)}",
+            _number(message.length_error_m, 3),
+            _latency(track, now_ns),
+        ]
+        if truth:
+            error = truth.heading(id_, message)
+            cells.append("-" if error is None else f"{error:+.2f}")
+        table.add_row(*cells)
+    return table
+
+
+def process_table(rows: Iterable[Mapping[str, Any]], statuses: Mapping[str, tuple[ServiceStatus, int]], now_ns: int) -> Table:
+    """Return the table of the processes: what control knows of them and what they say themselves."""
+    table = _table(["process", "role", "process is", "service is", "pid", "restarts", "up s", "says"], right={4, 5, 6})
+    for row in rows:
+        status, received_ns = statuses.get(row["id"], (None, 0))
+        says, word = row.get("reason", ""), Text("-", style="dim")
+        if status is not None and row.get("pid", status.pid) == status.pid:
+            age_s = (now_ns - received_ns) * 1e-9
+            word = coloured(str(status.state)) if age_s <= SILENT_S else Text(f"silent {age_s:.0f} s", style="yellow")
+            says = says or status.reason or _inputs(status)
+        table.add_row(
+            row["id"],
+            row["role"],
+            coloured(row["state"]),
+            word,
+            str(row["pid"] or "-"),
+            str(row["restarts"]),
+            f"{row['uptime_s']:.0f}",
+            Text(says[:120], overflow="ellipsis", no_wrap=True),
+        )
+    return table
+
+
+def supervised(board: Board) -> list[dict[str, Any]]:
+    """Return the rows of all processes as the network tells them: control's table, and the others by their own status."""
+    rows: list[dict[str, Any]] = []
+    for status, _ in board.statuses.values():
+        found: Any = status.data.get("processes")
+        if status.role == "control" and isinstance(found, list):
+            rows += found
+    known = {row["id"] for row in rows}
+    for id_, (status, _) in sorted(board.statuses.items()):
+        if id_ not in known:
+            word = "RUNNING" if status.state not in (State.STOPPED, State.FAILED) else str(status.state)
+            rows.append(
+                {"id": id_, "role": status.role, "state": word, "pid": status.pid, "restarts": 0, "uptime_s": status.uptime_s, "reason": ""}
+            )
+    return rows
+
+
+def coloured(word: str) -> Text:
+    """Return a state's word in its colour."""
+    return Text(word, style=_COLOURS.get(word, ""))
+
+
+def horizontal_sigma(cov_enu_m2: tuple[float, ...]) -> tuple[float, float]:
+    """Return (horizontal, vertical) standard deviation of a row-major ENU covariance, metres; NaN if unknown."""
+    horizontal, vertical = cov_enu_m2[0] + cov_enu_m2[4], cov_enu_m2[8]
+    return (math.sqrt(horizontal) if horizontal >= 0.0 else math.nan, math.sqrt(vertical) if vertical >= 0.0 else math.nan)
+
+
+def _sigma(message: SolutionMessage) -> tuple[float, float]:
+    return horizontal_sigma(message.baseline_cov_enu_m2 if message.mode == "moving-base" else message.position_cov_enu_m2)
+
+
+def _place(message: SolutionMessage) -> str:
+    if message.mode == "moving-base":
+        length_m = math.sqrt(sum(part * part for part in message.baseline_enu_m))
+        return f"{_number(length_m, 3)} m  " + " ".join(
+            f"{name} {_number(part, 3)}" for name, part in zip("ENU", message.baseline_enu_m, strict=True)
+        )
+    if not math.isfinite(message.lat_deg):
+        return message.reason or "-"
+    return f"{message.lat_deg:.8f} {message.lon_deg:.8f} {message.height_m:.3f}"
+
+
+def _state(word: str, track: Track[Any], now_ns: int) -> Text:
+    age_s = (now_ns - track.received_ns) * 1e-9
+    return coloured(word) if age_s <= SILENT_S else Text(f"{word} {age_s:.0f} s ago", style="dim")
+
+
+def _latency(track: Track[Any], now_ns: int) -> str:
+    quantiles = track.latency_ms.quantiles(now_ns)
+    return "-" if quantiles is None else f"{quantiles.p50:.1f} (p99 {quantiles.p99:.0f})"
+
+
+def _inputs(status: ServiceStatus) -> str:
+    return ", ".join(f"{row.name} {row.state}" for row in status.inputs)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _pair(first: float, second: float) -> str:
+    return f"{_number(first, 3)} {_number(second, 3)}"
+
+
+def _table(columns: list[str], right: set[int]) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="dim")
+    for index, name in enumerate(columns):
+        table.add_column(name, justify="right" if index in right else "left", no_wrap=True)
+    return table
+
+
+def once(view: View) -> None:
+    """Print the picture of this moment, in full width."""
+    console = Console()
+    Console(width=console.width if console.is_terminal else 200).print(view.render())

@@ -1,0 +1,235 @@
+"""``rtkmesh up``: control in the foreground, parent of all processes of a deployment file."""
+
+import json
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from cyclopts import Parameter
+
+from rtkmesh_schemas.keys import CONTROL_ID, Role
+from rtkmesh_services.cli.board import Board
+from rtkmesh_services.cli.network import Json
+from rtkmesh_services.cli.table import Display, View
+from rtkmesh_services.control.fleet import LaunchOptions
+from rtkmesh_services.control.keeper import Keeper, is_free
+from rtkmesh_services.control.service import ControlService, keeper_of
+from rtkmesh_services.control.supervisor import ProcessState
+from rtkmesh_services.errors import BusError, UnreachableError
+from rtkmesh_services.runtime.bus import Bus, endpoints_for
+from rtkmesh_services.runtime.configuration import HUB_ID, Site, load_site
+from rtkmesh_services.runtime.process import leave, run_service
+from rtkmesh_services.runtime.service import Context, Service
+
+EXIT_FAILED: Final = 1
+_CONNECT_S: Final = 1.0
+_IDLE_S: Final = 10.0
+_FAREWELL_S: Final = 3.0  # above the grace times of processes and hub
+
+
+def up(
+    file: Annotated[Path, Parameter(help="The deployment file (TOML).")],
+    /,
+    *,
+    data: Annotated[Path | None, Parameter(help="Folder of the recordings: what {data} stands for (default: RTKMESH_DATA).")] = None,
+    speed: Annotated[str, Parameter(help="Replay recordings at this speed: 1, 10, ... or max.")] = "",
+    as_json: Json = False,
+    quiet: Annotated[bool, Parameter(negative="", help="No table, no summary.")] = False,
+    exit_at_end: Annotated[bool, Parameter(negative="", help="End when all recordings are played and solved.")] = False,
+) -> None:
+    """Run all processes of a deployment: starts them, watches them, replaces what dies or hangs.
+
+    Ctrl-C ends them all; none is left, whatever happens to this process. On a terminal it shows a live table.
+
+    For example:
+      rtkmesh up config/demo.toml
+      rtkmesh up config/replay_ubx.toml --data ../shared/data --speed max --exit-at-end
+
+    Exit codes: 0 ended as asked, 1 a process failed (with --exit-at-end), 2 the file or the site is at fault, such as a busy port.
+    """
+    site = load_site(file, data, speed)
+    options = LaunchOptions(site.file, site.data_folder, speed)
+    ends = AtEnd(site) if exit_at_end else never
+    foreground = Foreground(site, options, as_json=as_json, quiet=quiet, ends=ends)
+    code = foreground.run()
+    foreground.report()
+    leave(code)
+
+
+Ending = Callable[["Foreground"], tuple[str, int] | None]
+
+
+@dataclass(slots=True)
+class Foreground:
+    """Control with a picture: runs a deployment and watches it. ``ends`` says when it is enough: (why, exit code)."""
+
+    site: Site
+    options: LaunchOptions
+    as_json: bool = False
+    quiet: bool = False
+    ends: Ending = field(default=lambda _: None)
+    board: Board = field(default_factory=Board)
+    view: View | None = None
+    reason: str = ""
+    seconds: float = 0.0
+    rows: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    _code: int = 0
+    _keeper: Keeper | None = None
+    _service: Service | None = None
+    _done: threading.Event = field(default_factory=threading.Event)
+
+    def run(self) -> int:
+        """Run until the end; return the exit code. No process is left."""
+        require_free(self.site)
+        started_s = time.monotonic()
+        keeper = self._keeper = keeper_of(self.site.deployment, self.options)
+        if self.as_json:
+            keeper.on_change(lambda row: print_json({"event": "process", **row}))
+        display = self._display(keeper)
+        watcher = threading.Thread(target=self._watch, args=(display,), name="view", daemon=True)
+        try:
+            keeper.begin()
+            watcher.start()
+            control = self.site.deployment.control
+            code = run_service(
+                lambda context: self._create(context, keeper),
+                role=Role.CONTROL,
+                id=CONTROL_ID,
+                site=self.site,
+                open_bus=lambda: connect(self.site, keeper),
+                end_s=2.0 * control.term_grace_s + _FAREWELL_S,
+            )
+        finally:
+            self.rows = keeper.rows()
+            clean = keeper.end()
+            self._done.set()
+            watcher.join(1.0)
+        self.seconds = time.monotonic() - started_s
+        return code or self._code or (0 if clean else EXIT_FAILED)
+
+    def processes(self) -> list[dict[str, Any]]:
+        """Return the table of the fleet of this moment."""
+        return self._keeper.rows() if self._keeper is not None else []
+
+    def report(self) -> None:
+        """Print how it was."""
+        solvers = {
+            id_: {"epochs": track.count, "fixed": track.fixes, "fix_pct": round(100.0 * track.fixes / track.count, 2)}
+            for id_, track in self.board.solutions.items()
+        }
+        if self.as_json:
+            print_json(
+                {"event": "end", "reason": self.reason, "seconds": round(self.seconds, 2), "solvers": solvers, "processes": self.rows}
+            )
+        elif not self.quiet:
+            parts = [f"{id_}: {row['epochs']} epochs, {row['fix_pct']:.1f} % FIX" for id_, row in solvers.items()]
+            restarts = sum(row["restarts"] for row in self.rows)
+            sys.stderr.write(
+                f"ended after {self.seconds:.1f} s{f' ({self.reason})' if self.reason else ''}; {restarts} restarts; {'; '.join(parts)}\n"
+            )
+
+    def _create(self, context: Context, keeper: Keeper) -> Service:
+        if self.quiet or sys.stdout.isatty():
+            logging.getLogger().setLevel(logging.WARNING)  # the table says the rest
+        self._service = ControlService(context, keeper, self.options)
+        self.board.attach(context.bus)
+        return self._service
+
+    def _display(self, keeper: Keeper) -> Display | None:
+        """Return the table on the terminal; it takes the terminal before anything is logged, so that logs go above it."""
+        if not sys.stdout.isatty() or self.as_json or self.quiet:
+            return None
+        view = self.view or View(self.board, f"rtkmesh up {self.site.file.name}")
+        view.processes = keeper.rows
+        display = Display(view)
+        display.start()
+        return display
+
+    def _watch(self, display: Display | None) -> None:
+        """Take messages, draw, and see whether it is enough (in its own thread: a slow terminal must not hold up control)."""
+        next_s = 0.0
+        while not self._done.is_set():
+            self.board.take(0.1)
+            now_s = time.monotonic()
+            if now_s >= next_s:
+                next_s = now_s + 0.1
+                self._end_if_enough()
+            if display is not None:
+                display.refresh(now_s)
+        if display is not None:
+            display.stop()
+
+    def _end_if_enough(self) -> None:
+        if self.reason or self._service is None or (end := self.ends(self)) is None:
+            return
+        self.reason, self._code = end
+        self._service.context.stopping.set()
+        self._service.context.inbox.wake()
+
+
+def never(foreground: Foreground) -> tuple[str, int] | None:
+    """End only when told to."""
+
+
+class AtEnd:
+    """End when every solver (without solvers: every receiver) has said that its recordings are at their end.
+
+    A solver that began anew after its receivers had sent everything will never say so: then it ends as failed.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self._receivers = {id_ for id_, table in site.deployment.ingest.items() if table.source.startswith("file:")}
+        self._waited = set(site.deployment.solver) or self._receivers
+        self._solved, self._idle_since_s = -1, 0.0
+
+    def __call__(self, foreground: Foreground) -> tuple[str, int] | None:
+        """Return (why, exit code) when it is the end."""
+        for row in foreground.processes():
+            if row["state"] == ProcessState.FAILED:
+                return f"{row['role']} {row['id']} FAILED: {row['reason']}", EXIT_FAILED
+        ended = {id_ for id_, (status, _) in foreground.board.statuses.items() if status.data.get("end")}
+        if self._waited <= ended:
+            return "all recordings are at their end", 0
+        if self._receivers <= ended and self._idle_s(foreground.board) > _IDLE_S:
+            return f"all recordings are at their end, but {', '.join(sorted(self._waited - ended))} did not finish", EXIT_FAILED
+        return None
+
+    def _idle_s(self, board: Board) -> float:
+        """Return how long no solution has come since all receivers ended."""
+        solved, now_s = sum(track.count for track in board.solutions.values()), time.monotonic()
+        if solved != self._solved:
+            self._solved, self._idle_since_s = solved, now_s
+        return now_s - self._idle_since_s
+
+
+def connect(site: Site, keeper: Keeper) -> Bus:
+    """Return the bus when the hub is there; BusError when it has failed."""
+    from rtkmesh_services.runtime.zenoh_bus import open_bus
+
+    table = site.deployment.deployment
+    endpoints = endpoints_for(table.connect, site.deployment.hub.listen)
+    while True:
+        try:
+            return open_bus(CONTROL_ID, endpoints, namespace=table.namespace, timeout_s=_CONNECT_S)
+        except UnreachableError:
+            if keeper.state_of(HUB_ID) is ProcessState.FAILED:
+                lines = keeper.last_lines(HUB_ID, 1)
+                raise BusError(f"the hub does not run: {lines[0] if lines else 'see its log'}") from None
+
+
+def require_free(site: Site) -> None:
+    """BusError when the hub could not listen: somebody has its port."""
+    for endpoint in site.deployment.hub.listen if site.deployment.hub.enabled else ():
+        if not is_free(endpoint):
+            raise BusError(f"{endpoint} is taken: does another rtkmesh run here? ([hub] listen names another port)")
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """Print one JSON line."""
+    sys.stdout.write(json.dumps(value, default=str) + "\n")
+    sys.stdout.flush()

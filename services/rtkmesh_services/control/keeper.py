@@ -1,0 +1,284 @@
+"""The thread that keeps the fleet as the supervisor wants it: spawns, reads output, reaps, signals."""
+
+import contextlib
+import logging
+import os
+import selectors
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+
+from rtkmesh_schemas.config import ControlTable
+from rtkmesh_schemas.keys import Role
+from rtkmesh_services.control.fleet import ProcessSpec, restarts_between
+from rtkmesh_services.control.process import Child, OutputLine, OutputLog
+from rtkmesh_services.control.supervisor import Action, ProcessState, Supervisor, Verb
+from rtkmesh_services.runtime.configuration import HUB_ID
+
+_HUB_READY_S: Final = 5.0  # after this the others start even if the hub takes no connection: they retry on their own
+_POLL_S: Final = 0.1  # without pidfd
+_LEVELS: Final = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+logger = logging.getLogger("rtkmesh.control")
+
+ChangeListener = Callable[[dict[str, Any]], None]
+
+
+class Keeper:
+    """Runs a fleet until ``end``. All methods may be called from any thread; processes belong to the keeper's own."""
+
+    def __init__(
+        self,
+        specs: list[ProcessSpec],
+        limits: ControlTable,
+        hub_endpoint: str = "",
+        on_line: Callable[[OutputLine], None] | None = None,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._lock = threading.Lock()
+        self._clock_s = clock_s
+        self._supervisor = Supervisor(limits)
+        self._specs = specs
+        self._hub_endpoint = hub_endpoint
+        self._hub_wait_until_s = 0.0
+        self._children: dict[str, Child] = {}
+        self._selector = selectors.DefaultSelector()
+        self._wake_reader, self._wake_writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._output = OutputLog()
+        self._show_line = on_line or _log_line
+        self._listeners: list[ChangeListener] = []
+        self.listener_errors = 0
+        self.listener_error: Exception | None = None
+        self._seen: dict[str, tuple[Any, ...]] = {}
+        self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
+
+    # -- for the other threads
+
+    def begin(self) -> None:
+        """Start the thread and the fleet, the hub first."""
+        with self._lock:
+            for spec in self._specs:
+                self._supervisor.add(spec)
+        self._hub_wait_until_s = self._clock_s() + _HUB_READY_S
+        self._thread.start()
+
+    def end(self, timeout_s: float = 10.0) -> bool:
+        """Stop everything, the hub last; True when no process is left."""
+        with self._lock:
+            self._supervisor.end(self._clock_s())
+        self._wake()
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def on_change(self, listener: ChangeListener) -> None:
+        """Call ``listener`` with the row of a process whenever its state, pid or reason changes (in the keeper's thread)."""
+        self._listeners.append(listener)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the table of the fleet."""
+        with self._lock:
+            return self._supervisor.rows(self._clock_s())
+
+    def state_of(self, id: str) -> ProcessState | None:  # noqa: A002  the word of the design
+        """Return the state of a process, or None if there is none of this id."""
+        with self._lock:
+            record = self._supervisor.record(id)
+            return None if record is None else record.state
+
+    def start(self, id: str) -> None:  # noqa: A002
+        """Want a process."""
+        self._change(lambda now_s: self._supervisor.start(id, now_s))
+
+    def stop(self, id: str) -> None:  # noqa: A002
+        """Want a process no more."""
+        self._change(lambda now_s: self._supervisor.stop(id, now_s))
+
+    def restart(self, id: str) -> None:  # noqa: A002
+        """Stop and start a process."""
+        self._change(lambda now_s: self._supervisor.restart(id, now_s))
+
+    def heartbeat(self, id: str, pid: int, received_s: float) -> None:  # noqa: A002
+        """Hand over a status of a process: its pid and when it came (monotonic)."""
+        with self._lock:
+            self._supervisor.heartbeat(id, pid, received_s)
+        self._wake()
+
+    def apply(self, specs: list[ProcessSpec]) -> dict[str, list[str]]:
+        """Make the fleet that of ``specs``; return the ids that are removed, added and restarted."""
+        removed, added, changed = restarts_between(self._specs, specs)
+
+        def act(now_s: float) -> None:
+            for id_ in removed:
+                self._supervisor.remove(id_, now_s)
+            for spec in added:
+                self._supervisor.add(spec)
+            for spec in changed:
+                self._supervisor.replace(spec, now_s)
+
+        self._specs = specs
+        self._change(act)
+        return {"removed": removed, "added": [s.id for s in added], "restarted": [s.id for s in changed]}
+
+    def last_lines(self, id: str, count: int) -> list[str]:  # noqa: A002
+        """Return the newest lines that a process wrote."""
+        with self._lock:
+            return self._output.last(id, count)
+
+    # -- the keeper's own thread
+
+    def _run(self) -> None:
+        self._selector.register(self._wake_reader, selectors.EVENT_READ, None)
+        while True:
+            self._open_gate()
+            with self._lock:
+                now_s = self._clock_s()
+                actions, due_s, ended = self._supervisor.actions(now_s), self._supervisor.next_due_s(now_s), self._supervisor.ended
+            for action in actions:
+                self._act(action)
+            self._tell()
+            if ended:
+                break
+            self._wait(0.0 if actions else due_s - now_s)
+            self._reap()
+        self._selector.close()
+
+    def _act(self, action: Action) -> None:
+        if action.verb is Verb.SPAWN:
+            self._spawn(action.id)
+        elif child := self._children.get(action.id):
+            child.signal(signal.SIGTERM if action.verb is Verb.TERMINATE else signal.SIGKILL)
+
+    def _spawn(self, id_: str) -> None:
+        with self._lock:
+            record = self._supervisor.record(id_)
+        if record is None:
+            return
+        try:
+            child = Child(record.spec, self._line)
+        except OSError as error:
+            with self._lock:
+                self._supervisor.not_spawned(id_, str(error), self._clock_s())
+            return
+        self._children[id_] = child
+        for descriptor in child.descriptors():
+            self._selector.register(descriptor, selectors.EVENT_READ, child)
+        with self._lock:
+            self._supervisor.spawned(id_, child.pid, self._clock_s())
+
+    def _wait(self, timeout_s: float) -> None:
+        if any(child.exit_descriptor is None for child in self._children.values()):
+            timeout_s = min(timeout_s, _POLL_S)
+        for key, _ in self._selector.select(max(timeout_s, 0.0)):
+            child: Child | None = key.data
+            if child is None:
+                with contextlib.suppress(BlockingIOError):
+                    os.read(self._wake_reader, 4096)
+            elif key.fd != child.exit_descriptor and not child.read(key.fd):
+                self._selector.unregister(key.fd)
+
+    def _reap(self) -> None:
+        for id_, child in list(self._children.items()):
+            descriptors = child.descriptors()
+            code = child.reap()
+            if code is None:
+                continue
+            for descriptor in descriptors:
+                with contextlib.suppress(KeyError):
+                    self._selector.unregister(descriptor)
+            del self._children[id_]
+            with self._lock:
+                self._supervisor.exited(id_, code, child.last_error, self._clock_s())
+
+    def _open_gate(self) -> None:
+        """Let the others start when the hub takes connections: they would else take its processor and then wait for a retry."""
+        if self._hub_wait_until_s == 0.0:
+            return
+        has_hub = any(spec.role is Role.HUB for spec in self._specs)
+        if not has_hub or self._clock_s() > self._hub_wait_until_s or (HUB_ID in self._children and accepts(self._hub_endpoint)):
+            self._hub_wait_until_s = 0.0
+            with self._lock:
+                self._supervisor.hub_ready()
+
+    def _line(self, line: OutputLine) -> None:
+        with self._lock:
+            self._output.add(line)
+        self._call(lambda: self._show_line(line))
+
+    def _tell(self) -> None:
+        rows = self.rows()
+        for row in rows:
+            now = (row["state"], row["pid"], row["reason"])
+            if self._seen.get(row["id"]) != now:
+                self._seen[row["id"]] = now
+                for listener in self._listeners:
+                    self._call(partial(listener, row))
+        gone = set(self._seen) - {row["id"] for row in rows}
+        for id_ in gone:
+            del self._seen[id_]
+
+    def _call(self, foreign: Callable[[], None]) -> None:
+        """Call what others gave us: their fault must not leave the fleet without its keeper."""
+        try:
+            foreign()
+        except Exception as error:  # noqa: BLE001  counted; logging it may be what failed
+            self.listener_errors += 1
+            self.listener_error = error
+
+    def _change(self, act: Callable[[float], None]) -> None:
+        with self._lock:
+            act(self._clock_s())
+        self._wake()
+
+    def _wake(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._wake_writer, b"w")
+
+
+def accepts(endpoint: str) -> bool:
+    """Whether somebody takes connections at a Zenoh endpoint ``tcp/HOST:PORT``; other protocols count as yes."""
+    address = tcp_address(endpoint)
+    if address is None:
+        return True
+    with contextlib.suppress(OSError), socket.create_connection(address, timeout=0.2):
+        return True
+    return False
+
+
+def is_free(endpoint: str) -> bool:
+    """Whether this host can listen at ``tcp/HOST:PORT``; other protocols count as yes."""
+    address = tcp_address(endpoint)
+    if address is None:
+        return True
+    family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port in TIME_WAIT is free for a new hub
+        try:
+            probe.bind(address)
+        except OSError:
+            return False
+    return True
+
+
+def tcp_address(endpoint: str) -> tuple[str, int] | None:
+    """Return (host, port) of ``tcp/HOST:PORT``, or None for any other form."""
+    scheme, _, rest = endpoint.partition("/")
+    host, _, port = rest.partition("#")[0].partition("?")[0].rpartition(":")
+    if scheme != "tcp" or not port.isdigit():
+        return None
+    return host.strip("[]"), int(port)
+
+
+def _log_line(line: OutputLine) -> None:
+    level = _LEVELS.get(line.level, logging.WARNING if line.error_stream and not line.structured else logging.INFO)
+    logger.log(level, "%s | %s", line.id, line.text, extra={"instance": line.id})
+
+
+def free_port() -> int:
+    """Return a loopback TCP port that is free now."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,175 @@
+"""One child process on Linux: its own session, no orphan, output read line by line without ever blocking."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import IO, Any, Final
+
+from rtkmesh_services.control.fleet import ProcessSpec
+
+PARENT_VARIABLE: Final = "RTKMESH_PARENT"  # the child asks the kernel to kill it when this process is gone
+_LINE_BYTES: Final = 4096
+_READ_BYTES: Final = 65536
+_KEPT_LINES: Final = 200
+
+
+@dataclass(frozen=True, slots=True)
+class OutputLine:
+    """One line that a child wrote. ``level`` and ``text`` are the record's if it was one of our JSON log lines."""
+
+    id: str
+    text: str
+    level: str
+    error_stream: bool
+    structured: bool
+
+
+class Child:
+    """A running process. Made in the thread that lives as long as the child may: its death is the child's (PR_SET_PDEATHSIG)."""
+
+    def __init__(self, spec: ProcessSpec, on_line: Callable[[OutputLine], None]) -> None:
+        """Start the process; OSError if that fails."""
+        self.spec = spec
+        self._on_line = on_line
+        self._process: subprocess.Popen[bytes] = subprocess.Popen(
+            spec.argv,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=dict(spec.environment) | {PARENT_VARIABLE: str(os.getpid())},
+            start_new_session=True,
+            bufsize=0,
+        )
+        self.pid = self._process.pid
+        self.exit_descriptor = _pidfd(self.pid)
+        self._last_error = ""
+        self._streams = {pipe.fileno(): _Lines(pipe, error_stream=pipe is self._process.stderr) for pipe in self._pipes()}
+
+    def descriptors(self) -> list[int]:
+        """Return the descriptors to wait on: the output, and the exit where the kernel offers it."""
+        ends = [] if self.exit_descriptor is None else [self.exit_descriptor]
+        return [*self._streams, *ends]
+
+    def read(self, descriptor: int) -> bool:
+        """Read what is there; False when this stream is at its end."""
+        stream = self._streams.get(descriptor)
+        if stream is None:
+            return False
+        open_ = stream.read(self._line)
+        if not open_:
+            del self._streams[descriptor]
+            stream.close()
+        return open_
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the whole process group."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, number)
+
+    def reap(self) -> int | None:
+        """Return the exit code if the process has ended, and end what it left in its group; else None."""
+        if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            return None
+        self.signal(signal.SIGKILL)  # the zombie still holds the group's number
+        for descriptor in list(self._streams):
+            while self.read(descriptor) and self._streams[descriptor].more:
+                pass
+        code = self._process.wait()
+        self._close()
+        return code
+
+    @property
+    def last_error(self) -> str:
+        """The newest line that says what went wrong."""
+        return self._last_error
+
+    def _line(self, raw: bytes, error_stream: bool) -> None:
+        line = parse_line(self.spec.id, raw, error_stream=error_stream)
+        if line.text and (line.level in ("error", "critical") or (error_stream and not line.structured)):
+            self._last_error = line.text[:300]
+        if line.text:
+            self._on_line(line)
+
+    def _pipes(self) -> list[IO[bytes]]:
+        pipes = [pipe for pipe in (self._process.stdout, self._process.stderr) if pipe is not None]
+        for pipe in pipes:
+            os.set_blocking(pipe.fileno(), False)
+        return pipes
+
+    def _close(self) -> None:
+        for stream in self._streams.values():
+            stream.close()
+        self._streams.clear()
+        if self.exit_descriptor is not None:
+            os.close(self.exit_descriptor)
+            self.exit_descriptor = None
+
+
+class _Lines:
+    """Bytes of a pipe to lines of bounded length."""
+
+    def __init__(self, pipe: IO[bytes], *, error_stream: bool) -> None:
+        self._pipe, self._error_stream, self._rest, self.more = pipe, error_stream, b"", True
+
+    def read(self, on_line: Callable[[bytes, bool], None]) -> bool:
+        """Read once; False at the end. ``more`` says whether there may be more at once."""
+        try:
+            data = os.read(self._pipe.fileno(), _READ_BYTES)
+        except BlockingIOError:
+            self.more = False
+            return True
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if not data or len(self._rest) > _LINE_BYTES:
+            lines, self._rest = [*lines, self._rest], b""
+        for line in lines:
+            on_line(line[:_LINE_BYTES], self._error_stream)
+        self.more = bool(data)
+        return bool(data)
+
+    def close(self) -> None:
+        self._pipe.close()
+
+
+class OutputLog:
+    """The newest lines of every process, for ``rtk/control/cmd`` ``log``."""
+
+    def __init__(self) -> None:
+        self._lines: dict[str, deque[str]] = {}
+
+    def add(self, line: OutputLine) -> None:
+        """Keep a line."""
+        self._lines.setdefault(line.id, deque(maxlen=_KEPT_LINES)).append(f"{line.level}: {line.text}" if line.level else line.text)
+
+    def last(self, id: str, count: int) -> list[str]:  # noqa: A002  the word of the design
+        """Return the newest lines of a process, oldest first."""
+        lines = list(self._lines.get(id, ()))
+        return lines[-count:] if count > 0 else []
+
+
+def parse_line(id: str, raw: bytes, *, error_stream: bool) -> OutputLine:  # noqa: A002
+    """Return a line without control characters; our own JSON log lines give their level and text."""
+    text = raw.decode("utf-8", "replace").strip()
+    if text.startswith("{"):
+        with contextlib.suppress(ValueError, TypeError, AttributeError):
+            record: dict[str, Any] = json.loads(text)
+            message = record.get("text", record.get("message"))
+            if message is not None:
+                return OutputLine(id, printable(str(message)), str(record.get("level", "")).lower(), error_stream, structured=True)
+    return OutputLine(id, printable(text), "", error_stream, structured=False)
+
+
+def printable(text: str) -> str:
+    """Return text without control characters: a terminal must not obey what a receiver or caster sent."""
+    return "".join(c if c.isprintable() or c == "\t" else "?" for c in text)
+
+
+def _pidfd(pid: int) -> int | None:
+    try:
+        return os.pidfd_open(pid)
+    except OSError:  # an old kernel or a sandbox: the keeper polls instead
+        return None

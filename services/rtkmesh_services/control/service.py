@@ -1,0 +1,130 @@
+"""The control process: parent of all processes of one deployment on this host, and their table on the network."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Final
+
+from rtkmesh_schemas.command import Code, Reply, Request
+from rtkmesh_schemas.config import Deployment
+from rtkmesh_schemas.errors import ConfigError, SchemaError
+from rtkmesh_schemas.keys import STATUS, Role
+from rtkmesh_schemas.status import Level, ServiceStatus, State
+from rtkmesh_schemas.wire import decode
+from rtkmesh_services.control.fleet import LaunchOptions, specs_of
+from rtkmesh_services.control.keeper import Keeper
+from rtkmesh_services.control.supervisor import ProcessState
+from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.configuration import HUB_ID, load_deployment
+from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
+
+ALL: Final = frozenset({"all", "*"})
+_DEFAULT_LINES: Final = 50
+_LEVELS: Final = {ProcessState.FAILED: Level.ERROR, ProcessState.WAITING: Level.WARNING}
+
+
+class ControlService(Service):
+    """Keeps the fleet as the deployment file and the commands want it."""
+
+    role: ClassVar[Role] = Role.CONTROL
+    operations: ClassVar[Mapping[str, str]] = {
+        "start": "start a process: id=ID, or id=all",
+        "stop": "stop a process and leave it stopped: id=ID, or id=all (all but the hub)",
+        "restart": "stop a process and start it: id=ID, or id=all (all but the hub)",
+        "reload": "read the deployment file again and apply what has changed",
+        "output": "the newest lines that a process wrote: id=ID [lines=50]",
+    }
+
+    def __init__(self, context: Context, keeper: Keeper, options: LaunchOptions) -> None:
+        super().__init__(context)
+        self._keeper, self._options = keeper, options
+        self._deployment: Deployment = context.deployment
+        self._last: dict[str, tuple[str, int]] = {}
+
+    def open(self) -> None:
+        """Listen to the heartbeats of all."""
+        self._keeper.on_change(self._changed)
+        self.context.subscribe(STATUS.expression(), lane="status", latest=True)
+
+    def handle(self, item: Any) -> None:
+        """Take a status: the heartbeat of a work loop."""
+        if not isinstance(item, Sample):
+            return
+        try:
+            status = decode(ServiceStatus, item.payload, item.encoding)
+        except SchemaError as error:
+            self.context.log.debug("a status that is none on %s: %s", item.key, error)
+            return
+        self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
+
+    def command(self, request: Request) -> Reply:
+        """Act on the desired state of processes."""
+        if request.op == "reload":
+            return self._reload()
+        id_ = str(request.args.get("id", request.args.get("name", "")))
+        known = [row["id"] for row in self._keeper.rows()]
+        if not id_:
+            return refused(Code.BAD_ARGUMENTS, f"say which process: id=ID, one of {', '.join(known)}, or id=all")
+        if id_ not in known and (id_ not in ALL or request.op == "output"):
+            return refused(Code.NOT_FOUND, f"no process {id_!r}; there are {', '.join(known)}")
+        if request.op == "output":
+            return self._output(id_, request.args.get("lines", _DEFAULT_LINES))
+        ids = [id_] if id_ in known else [name for name in known if name != HUB_ID]
+        act: dict[str, Callable[[str], None]] = {
+            "start": self._keeper.start,
+            "stop": self._keeper.stop,
+            "restart": self._keeper.restart,
+        }
+        for name in ids:
+            act[request.op](name)
+        return accepted(f"{request.op}: {', '.join(ids)}", ids=ids)
+
+    def report(self) -> Report:
+        """Return the whole table; DEGRADED while a process has failed."""
+        rows = self._keeper.rows()
+        failed = [f"{row['role']} {row['id']} FAILED: {row['reason']}" for row in rows if row["state"] == ProcessState.FAILED]
+        counters = {
+            "processes": len(rows),
+            "running": sum(row["state"] == ProcessState.RUNNING for row in rows),
+            "failed": len(failed),
+            "restarts": sum(row["restarts"] for row in rows),
+            "listener_errors": self._keeper.listener_errors,
+        }
+        state = State.DEGRADED if failed else State.RUNNING
+        return Report(state=state, reason="; ".join(failed), counters=counters, data={"processes": rows})
+
+    def _output(self, id_: str, lines: Any) -> Reply:
+        try:
+            count = int(lines)
+        except (TypeError, ValueError):
+            return refused(Code.BAD_ARGUMENTS, f"lines={lines!r} is no number")
+        return done(f"the last lines of {id_}", lines=self._keeper.last_lines(id_, count))
+
+    def _reload(self) -> Reply:
+        try:
+            deployment = load_deployment(self._options.file, self._options.data_folder, self._options.speed)
+        except ConfigError as error:
+            return refused(Code.BAD_ARGUMENTS, f"nothing is changed: {error}")
+        if (deployment.deployment, deployment.hub, deployment.control) != (
+            self._deployment.deployment,
+            self._deployment.hub,
+            self._deployment.control,
+        ):
+            return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
+        self._deployment = deployment
+        changes = self._keeper.apply(specs_of(deployment, self._options))
+        text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
+        return accepted(text or "nothing has changed", **changes)
+
+    def _changed(self, row: dict[str, Any]) -> None:
+        """Tell the network of a change (called in the keeper's thread)."""
+        state = ProcessState(row["state"])
+        if self.context.stopping.is_set() or (state is ProcessState.STARTING and not row["restarts"]):
+            return
+        reason = f": {row['reason']}" if row["reason"] else ""
+        text = f"{row['role']} {row['id']} is {state}{reason}"
+        self.context.event(_LEVELS.get(state, Level.INFO), f"process_{state.lower()}", text, **row)
+
+
+def keeper_of(deployment: Deployment, options: LaunchOptions) -> Keeper:
+    """Return the keeper of a deployment's fleet, not yet begun."""
+    listen = deployment.hub.listen[0] if deployment.hub.enabled and deployment.hub.listen else ""
+    return Keeper(specs_of(deployment, options), deployment.control, listen)

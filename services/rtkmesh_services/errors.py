@@ -1,0 +1,39 @@
+"""Exceptions of the services: faults of the caller or the site. Faults of the data are values and counters.
+
+ServiceError
+├── SourceError         a recording or a receiver's source is missing, empty or of no known kind
+├── BusError            the network refused something: an address in use, a wrong key
+│   └── UnreachableError    no hub answers
+├── CommandError        a command cannot be done; carries the code of the reply
+└── StoppedError        the process was told to end while it waited
+"""
+
+from rtkmesh_schemas.command import Code
+
+
+class ServiceError(Exception):
+    """Root of the exceptions of the services."""
+
+
+class SourceError(ServiceError):
+    """A recording or a receiver's source is missing, empty or of no known kind."""
+
+
+class BusError(ServiceError):
+    """The network refused something."""
+
+
+class UnreachableError(BusError):
+    """No hub answers."""
+
+
+class CommandError(ServiceError):
+    """A command cannot be done; ``code`` and the text go into its reply."""
+
+    def __init__(self, code: Code, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class StoppedError(ServiceError):
+    """The process was told to end while it waited."""

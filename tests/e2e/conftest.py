@@ -1,0 +1,146 @@
+"""Running deployments of real processes on a port of their own, and never leaving one behind."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rtkmesh_schemas.command import Reply
+from rtkmesh_services.runtime.bus import Bus
+from rtkmesh_services.runtime.calls import call
+from rtkmesh_services.runtime.zenoh_bus import open_bus
+
+POLL_S = 0.02  # other processes are polled: there is nothing of ours to wait on
+
+
+class Deployment:
+    """A running ``rtkmesh up`` (or ``demo``): its JSON lines, a bus to it, its processes."""
+
+    def __init__(self, command: list[str], endpoint: str, environment: dict[str, str] | None = None) -> None:
+        self.endpoint = endpoint
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "rtkmesh_services.cli.main", *command],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, **(environment or {})},
+        )
+        self.events: list[dict[str, Any]] = []
+        self.pids: set[int] = set()
+        self.log: list[str] = []
+        self._readers = [threading.Thread(target=self._read_events, daemon=True), threading.Thread(target=self._read_log, daemon=True)]
+        for reader in self._readers:
+            reader.start()
+        self._bus: Bus | None = None
+
+    @property
+    def bus(self) -> Bus:
+        if self._bus is None:
+            self._bus = open_bus(f"test_{os.getpid()}", [self.endpoint], timeout_s=20.0)
+        return self._bus
+
+    def ask(self, id_: str, op: str, **args: Any) -> Reply:
+        return call(self.bus, id_, op, args, 5.0)[0]
+
+    def rows(self) -> dict[str, dict[str, Any]]:
+        reply = self.ask("control", "status")
+        found: list[dict[str, Any]] = reply.data.get("data", {}).get("processes", []) if reply.ok else []
+        return {row["id"]: row for row in found}
+
+    def until(self, what: Callable[[], Any], timeout_s: float = 30.0) -> Any:
+        """Wait until ``what`` is true; return what it gave."""
+        deadline = time.monotonic() + timeout_s
+        while not (found := what()):
+            assert self.process.poll() is None, f"it ended with {self.process.returncode}: {self.text()}"
+            assert time.monotonic() < deadline, f"not in {timeout_s} s: {self.text()}"
+            time.sleep(POLL_S)
+        return found
+
+    def all_running(self) -> dict[str, dict[str, Any]] | None:
+        rows = self.rows()
+        return rows if rows and all(row["state"] == "RUNNING" for row in rows.values()) else None
+
+    def interrupt(self, number: int = signal.SIGINT, timeout_s: float = 15.0) -> int:
+        """Send a signal and return the exit code."""
+        self.process.send_signal(number)
+        return self.wait(timeout_s)
+
+    def wait(self, timeout_s: float) -> int:
+        """Return the exit code when it has ended by itself; all of its output is read then."""
+        try:
+            code = self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"it does not end: {self.text()}")
+        for reader in self._readers:
+            reader.join(5.0)
+        return code
+
+    def left(self) -> list[int]:
+        """Return the processes of the deployment that are still there."""
+        return [pid for pid in self.pids if is_running(pid)]
+
+    def text(self) -> str:
+        return "\n".join([*map(str, self.events[-10:]), *self.log[-30:]])
+
+    def close(self) -> None:
+        if self._bus is not None:
+            self._bus.close()
+        if self.process.poll() is None:
+            self.process.kill()
+        self.wait(10.0)
+        for pid in self.left():  # a failed test must not disturb the next one
+            os.kill(pid, signal.SIGKILL)
+
+    def _read_events(self) -> None:
+        assert self.process.stdout is not None
+        with self.process.stdout as lines:
+            for line in lines:
+                event = json.loads(line) if line.startswith(b"{") else {"event": "text", "text": line.decode()}
+                self.pids.add(event.get("pid", 0) or self.process.pid)
+                self.events.append(event)
+
+    def _read_log(self) -> None:
+        assert self.process.stderr is not None
+        with self.process.stderr as lines:
+            self.log.extend(line.decode(errors="replace").rstrip() for line in lines)
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process exists and is no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.fixture
+def port() -> int:
+    """A loopback port that is free now."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        found: int = probe.getsockname()[1]
+        return found
+
+
+@pytest.fixture
+def up(tmp_path: Path, port: int) -> Iterator[Callable[..., Deployment]]:
+    """A function that runs ``rtkmesh up`` on a deployment text (its [hub] is added) and ends it after the test."""
+    made: list[Deployment] = []
+
+    def start(text: str, *arguments: str, **environment: str) -> Deployment:
+        file = tmp_path / f"deployment{len(made)}.toml"
+        file.write_text(f'[hub]\nlisten = ["tcp/127.0.0.1:{port}"]\n{text}')
+        made.append(Deployment(["up", str(file), "--json", *arguments], f"tcp/127.0.0.1:{port}", environment))
+        return made[-1]
+
+    yield start
+    for deployment in made:
+        deployment.close()

@@ -1,0 +1,151 @@
+"""``rtkmesh solve`` as users run it: flags, exit codes, output."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtkmesh_services.cli.main import run
+
+SET = "kanagawa_2021_078_60s"
+TRUTH_ECEF_M = np.array([-3962108.673, 3381309.574, 3668678.638])  # data/README.md
+BASE_ECEF_M = "-3959400.631,3385704.533,3667523.111"
+BASE_LLH = "35.326681912,139.466071726,46.5007"
+
+
+def arguments(data: Path, *more: str) -> list[str]:
+    folder = data / SET
+    files = ["--rover", f"{folder}/SEPT078M1.21O", "--base", f"{folder}/3034078M1.21O", "--nav", f"{folder}/SEPT078M.21P"]
+    return ["solve", *files, "--systems", "GEJ", *more]
+
+
+def rows(path: Path) -> list[list[str]]:
+    return [line.split() for line in path.read_text().splitlines() if not line.startswith("%")]
+
+
+@pytest.mark.e2e
+@pytest.mark.data
+def test_solves_to_centimetres(data: Path, tmp_path: Path) -> None:
+    """A process solves the recording: fixes within 5 cm of the known position, a JSON summary, nothing on standard error."""
+    out = tmp_path / "out.pos"
+    command = [sys.executable, "-m", "rtkmesh_services.cli.main", *arguments(data)]
+    options = [f"--base-ecef={BASE_ECEF_M}", "--format", "xyz", "--json", "--out", str(out)]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=240, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    summary = json.loads(done.stdout)
+    assert summary["epochs"] == summary["solved"] == 60
+    fixes = [row for row in rows(out) if row[5] == "1"]
+    assert len(fixes) == round(summary["fix_pct"] * 0.6) >= 40
+    errors_m = np.linalg.norm(np.array([[float(v) for v in row[2:5]] for row in fixes]) - TRUTH_ECEF_M, axis=1)
+    assert np.percentile(errors_m, 95) < 0.05
+    assert "ref pos   :  -3959400.6310   3385704.5330   3667523.1110" in out.read_text()
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_formats_agree(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same run in three formats and two times; a base in degrees is the same base; the summary stands on standard error."""
+    enu, llh = tmp_path / "enu.pos", tmp_path / "llh.pos"
+    assert run(arguments(data, f"--base-ecef={BASE_ECEF_M}", "--format", "enu", "--out", str(enu))) == 0
+    assert run(arguments(data, f"--base-llh={BASE_LLH}", "--time-form", "tow", "--out", str(llh), "--quiet")) == 0
+    captured = capsys.readouterr()
+    assert not captured.out
+    assert captured.err.count("epochs") == 1
+    assert len(rows(enu)) == len(rows(llh)) == 60
+    first, other = rows(enu)[-1], rows(llh)[-1]
+    assert [float(v) for v in first[2:5]] == pytest.approx([5100.213, 1404.253, 17.024], abs=0.1)
+    assert [float(v) for v in other[2:4]] == pytest.approx([35.339325773, 139.522173121], abs=1e-6)
+    assert (first[:2], other[:2]) == (["2021/03/19", "12:00:59.000"], ["2149", "475259.000"])
+
+
+@pytest.mark.data
+def test_single_needs_no_base(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Mode single solves one recording; without --out the .pos text is standard output."""
+    folder = data / SET
+    code = run(["solve", "--mode", "single", "--rover", f"{folder}/SEPT078M1.21O", "--nav", f"{folder}/SEPT078M.21P", "--format", "xyz"])
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if not line.startswith("%")]
+    assert code == 0
+    assert len(lines) == 60
+    assert {line[5] for line in lines} == {"5"}
+    errors_m = np.linalg.norm(np.array([[float(v) for v in line[2:5]] for line in lines]) - TRUTH_ECEF_M, axis=1)
+    assert np.median(errors_m) < 10.0
+
+
+@pytest.mark.data
+def test_configuration_file_and_flags(data: Path, tmp_path: Path) -> None:
+    """Options come from the file, flags overrule them; the header says which were used."""
+    config, out = tmp_path / "solver.toml", tmp_path / "out.pos"
+    config.write_text('[solver]\nrover = "rover"\nbase = "base"\nmode = "static"\nelevation_mask_deg = 20.0\nfrequencies = 1\n')
+    assert run(arguments(data, "--config", str(config), "--frequencies", "2", "--out", str(out), "--quiet")) == 0
+    notes = dict(line[2:].split(":", 1) for line in out.read_text().splitlines() if " : " in line[:14])
+    assert {name.strip(): text.strip() for name, text in notes.items()}.items() >= {
+        ("pos mode", "static"), ("elev mask", "20.0 deg"), ("freqs", "2"), ("navi sys", "GEJ"),
+    }  # fmt: skip
+
+
+@pytest.mark.data
+def test_no_solution_is_exit_code_1(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without navigation data nothing can be solved; the summary says why."""
+    folder = data / SET
+    code = run(["solve", "--rover", f"{folder}/SEPT078M1.21O", "--base", f"{folder}/3034078M1.21O", "--json"])
+    summary = json.loads(capsys.readouterr().out)
+    assert code == 1
+    assert summary["solved"] == 0
+    assert summary["reasons"] == {"no_ephemeris": 60}
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--rover", "absent.obs", "--base", "absent.obs"], "absent.obs does not exist"),
+        (["--rover", "absent.obs"], "needs --base"),
+        (["--rover", "r", "--base", "b", "--systems", "GX"], "the letters GRECJSI"),
+        (["--rover", "r", "--base", "b", "--frequencies", "7"], "--frequencies 7: allowed are 1 to 5"),
+        (["--rover", "r", "--base", "b", "--elmask", "95"], "0 to 90 degrees"),
+        (["--rover", "r", "--base", "b", "--base-ecef=1,2"], "three numbers"),
+        (["--rover", "r", "--base", "b", "--base-ecef=1,2,3"], "from the earth's centre"),
+        (["--rover", "r", "--base", "b", "--base-llh=95,2,3"], "no latitude"),
+        (["--rover", "r", "--base", "b", "--base-llh=5,2,3", "--base-ecef=1,2,3"], "both given"),
+        (["--rover", "r", "--base", "b", "--date", "14.7.2018"], "no day YYYY-MM-DD"),
+        (["--rover", "r", "--base", "b", "--config", "absent.toml"], "absent.toml"),
+        (["--rover", "r", "--base", "b", "--mode", "kinematik"], "kinematic"),
+        (["--rovr", "r"], "--rover"),
+        ([], "--rover"),
+    ],
+)
+def test_wrong_usage_is_exit_code_2(flags: list[str], words: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """Every mistake is one line that names the flag, and exit code 2."""
+    assert run(["solve", *flags]) == 2
+    assert words in " ".join(capfd.readouterr().err.replace("│", " ").split())
+
+
+def test_configuration_faults_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A wrong key is named with its line and the nearest right one."""
+    config = tmp_path / "solver.toml"
+    config.write_text('[solver]\nrover = "rover"\nbase = "base"\nelevation_mask = 20.0\n')
+    assert run(["solve", "--rover", "r", "--base", "b", "--config", str(config)]) == 2
+    message = capsys.readouterr().err
+    assert "solver.toml:4" in message
+    assert "elevation_mask_deg" in message
+
+
+def test_unwritable_output(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An output that cannot be opened is exit code 2."""
+    assert run(arguments(data, "--out", "/absent/folder/out.pos")) == 2
+    assert "/absent/folder/out.pos" in capsys.readouterr().err
+
+
+def test_help_is_light() -> None:
+    """Help imports neither numba nor numpy nor the engine: it answers in well under a second."""
+    code = (
+        "import sys\nfrom rtkmesh_services.cli.main import run\n"
+        "assert run(['solve', '--help']) == 0 and run(['--help']) == 0\n"
+        "assert not {'numba', 'numpy', 'zenoh', 'rtkmesh.gnss', 'rtkmesh.rtk'} & set(sys.modules), 'heavy'\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "--base-ecef" in done.stdout
+    assert "Examples" in done.stdout

@@ -1,0 +1,130 @@
+"""A hub and processes of the runtime's own tests, over real Zenoh on a free loopback port."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from rtkmesh_schemas.keys import STATUS
+from rtkmesh_schemas.status import ServiceStatus, State
+from rtkmesh_schemas.wire import decode
+from rtkmesh_services.runtime.inbox import Inbox
+from rtkmesh_services.runtime.zenoh_bus import ZenohBus, open_bus
+
+UNDER_TEST = Path(__file__).parent / "process_under_test.py"
+
+
+def free_port() -> int:
+    """Return a loopback port that nobody listens on."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port: int = listener.getsockname()[1]
+        return port
+
+
+@dataclass
+class Fleet:
+    """The processes of one test; all are killed at its end."""
+
+    folder: Path
+    namespace: str = ""
+    port: int = field(default_factory=free_port)
+    running: list[subprocess.Popen[str]] = field(default_factory=list)
+    under_test: Path = UNDER_TEST
+
+    @property
+    def endpoint(self) -> str:
+        return f"tcp/127.0.0.1:{self.port}"
+
+    @property
+    def config(self) -> Path:
+        path = self.folder / "site.toml"
+        if not path.exists():
+            path.write_text(f'[deployment]\nnamespace = "{self.namespace}"\n[hub]\nlisten = ["{self.endpoint}"]\n')
+        return path
+
+    def start(self, *argv: str, environment: dict[str, str] | None = None) -> subprocess.Popen[str]:
+        """Start a program of ours; its stderr is read by ``ended``."""
+        process = subprocess.Popen(
+            [sys.executable, *argv],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **(environment or {})},
+        )
+        self.running.append(process)
+        return process
+
+    def rtkmesh(self, *arguments: str) -> subprocess.Popen[str]:
+        """Start ``rtkmesh`` with arguments."""
+        return self.start("-m", "rtkmesh_services.cli.main", *arguments)
+
+    def hub(self) -> subprocess.Popen[str]:
+        """Start the hub and wait until it listens."""
+        process = self.rtkmesh("run", "hub", "--config", str(self.config))
+        self.until(lambda: self._listens() or process.poll() is not None)
+        assert process.poll() is None, process.communicate()
+        return process
+
+    def process(self, name: str, *arguments: str, environment: dict[str, str] | None = None) -> subprocess.Popen[str]:
+        """Start the process under test."""
+        return self.start(str(UNDER_TEST), str(self.config), name, *arguments, environment=environment)
+
+    def bus(self, name: str = "test") -> ZenohBus:
+        """Return a bus to the hub."""
+        return open_bus(name, [self.endpoint], namespace=self.namespace, timeout_s=10.0)
+
+    def _listens(self) -> bool:
+        with socket.socket() as probe:
+            probe.settimeout(1.0)
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+    def until(self, condition: Callable[[], object], timeout_s: float = 15.0) -> None:
+        """Return as soon as the condition holds; fail when it does not within the time."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, "waited in vain"
+            time.sleep(0.01)
+
+    def status_until(self, bus: ZenohBus, name: str, condition: Callable[[ServiceStatus], bool], timeout_s: float = 15.0) -> ServiceStatus:
+        """Return the first status of a process that fulfils the condition."""
+        inbox = Inbox()
+        handle = bus.subscribe(STATUS.key(name), inbox.put, history=True)
+        deadline = time.monotonic() + timeout_s
+        try:
+            while (left := deadline - time.monotonic()) > 0.0:
+                sample = inbox.get(left)
+                if sample is not None and condition(status := decode(ServiceStatus, sample.payload, sample.encoding)):
+                    return status
+        finally:
+            handle.close()
+        raise AssertionError(f"{name} was never so")
+
+    def is_running(self, bus: ZenohBus, name: str) -> ServiceStatus:
+        """Wait until a process is RUNNING."""
+        return self.status_until(bus, name, lambda status: status.state is State.RUNNING)
+
+    def kill(self) -> None:
+        """End all, whatever state they are in."""
+        for process in self.running:
+            with suppress(ProcessLookupError):
+                process.send_signal(signal.SIGCONT)
+            process.kill()
+            process.communicate()
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Iterator[Fleet]:
+    """Processes and a free port; nothing of it is left afterwards."""
+    fleet = Fleet(tmp_path)
+    yield fleet
+    fleet.kill()

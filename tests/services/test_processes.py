@@ -1,0 +1,362 @@
+"""The runtime with real processes over real Zenoh: ends, crashes, hangs, restarts of the hub, calls."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import pytest
+import zenoh
+
+from rtkmesh_schemas.command import Code
+from rtkmesh_schemas.keys import CMD, EPH, EVENT, OBS, SOL_TEXT, STATUS
+from rtkmesh_schemas.status import Event, ServiceStatus, State
+from rtkmesh_schemas.wire import decode
+from rtkmesh_services.errors import UnreachableError
+from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.calls import call
+from rtkmesh_services.runtime.inbox import Inbox
+from rtkmesh_services.runtime.zenoh_bus import ZenohBus, open_bus, session_config
+
+pytestmark = pytest.mark.e2e
+
+
+def ended(process: subprocess.Popen[str], within_s: float) -> tuple[int, str, float]:
+    """Return (exit code, stderr, seconds it took)."""
+    began = time.monotonic()
+    _, error = process.communicate(timeout=within_s)
+    return process.returncode, error, time.monotonic() - began
+
+
+def do(bus: ZenohBus, op: str, name: str = "p", **arguments: Any) -> None:
+    """Ask the process under test to misbehave."""
+    [reply] = call(bus, name, op, arguments, 5.0)
+    assert reply.ok, reply
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_service_with_callbacks_in_two_seconds(fleet: Any, number: signal.Signals):
+    """Exit code 0, a last status STOPPED with the reason, no token left."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        process = fleet.process("p")
+        fleet.is_running(bus, "p")
+        seen = Inbox()
+        bus.subscribe(STATUS.key("p"), seen.put)
+        process.send_signal(number)
+        code, error, took = ended(process, 2.0)
+        assert (code, took < 2.0) == (0, True), error
+        statuses = [decode(ServiceStatus, sample.payload) for sample in iter(lambda: seen.get(1.0), None)]
+        assert (statuses[-1].state, statuses[-1].reason) == (State.STOPPED, number.name)
+        assert "p" not in bus.live()
+
+
+def test_a_signal_ends_a_service_that_waits_for_the_hub(fleet: Any):
+    """Opening the session may wait for ever, the process not."""
+    process = fleet.process("p")
+    fleet.until(lambda: _has_handler(process.pid, signal.SIGTERM))
+    process.send_signal(signal.SIGTERM)
+    assert ended(process, 2.0)[0] == 0
+
+
+def _has_handler(pid: int, number: signal.Signals) -> bool:
+    """Return whether a process catches a signal (Linux, /proc)."""
+    lines = open(f"/proc/{pid}/status").read().splitlines()  # noqa: PTH123, SIM115  short-lived
+    caught = next(int(line.split()[1], 16) for line in lines if line.startswith("SigCgt"))
+    return bool(caught >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize(("op", "words"), [("crash", "told to crash"), ("crash_thread", "told to crash in a thread")])
+def test_an_uncaught_exception_ends_the_process_with_70(fleet: Any, op: str, words: str):
+    """No zombie that still answers: an event, the traceback, a FAILED status, gone."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        process = fleet.process("p")
+        fleet.is_running(bus, "p")
+        events, statuses = Inbox(), Inbox()
+        bus.subscribe(EVENT.key("p", level="error"), events.put)
+        bus.subscribe(STATUS.key("p"), statuses.put)
+        do(bus, op)
+        code, error, _ = ended(process, 3.0)
+        assert code == 70
+        assert "Traceback" in error
+        assert words in error
+        codes = [decode(Event, sample.payload).code for sample in iter(lambda: events.get(0.5), None)]
+        assert codes == ["crashed", "state_failed"]
+        last = [decode(ServiceStatus, sample.payload) for sample in iter(lambda: statuses.get(0.1), None)][-1]
+        assert (last.state, words in last.reason) == (State.FAILED, True)
+        assert "p" not in bus.live()
+
+
+def test_a_fault_of_the_site_ends_with_2(fleet: Any):
+    """A missing device or a wrong file is not a bug: another exit code."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        process = fleet.process("p")
+        fleet.is_running(bus, "p")
+        do(bus, "site")
+        assert ended(process, 3.0)[0] == 2
+
+
+@pytest.mark.parametrize(("op", "code"), [("hang", 75), ("hang_close", 75), ("burn", 0)])
+def test_an_end_that_hangs_is_cut_off(fleet: Any, op: str, code: int):
+    """A loop in C code, a device that does not close, a thread that does not end: gone within two seconds."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        process = fleet.process("p")
+        fleet.is_running(bus, "p")
+        do(bus, op)
+        process.send_signal(signal.SIGTERM)
+        assert ended(process, 2.0)[0] == code
+
+
+def test_shutdown_by_command(fleet: Any):
+    """``shutdown`` answers, then the process ends with 0."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        process = fleet.process("p")
+        fleet.is_running(bus, "p")
+        do(bus, "shutdown")
+        assert ended(process, 2.0)[0] == 0
+
+
+def test_the_parent_s_death_is_the_child_s(fleet: Any):
+    """No orphans, also when the parent is killed with -9."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        script = (
+            "import os, subprocess, sys, time; "
+            "subprocess.Popen(sys.argv[1:], env={**os.environ, 'RTKMESH_PARENT': str(os.getpid())}); time.sleep(60)"
+        )
+        parent = fleet.start("-c", script, sys.executable, str(fleet.under_test), str(fleet.config), "p")
+        pid = fleet.is_running(bus, "p").pid
+        assert pid != parent.pid
+        parent.kill()
+        fleet.until(lambda: not _alive(pid), 3.0)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return "\nState:\tZ" not in open(f"/proc/{pid}/status").read()  # noqa: PTH123  short-lived
+
+
+def test_commands_are_answered_within_100_ms_while_warming(fleet: Any):
+    """The process is asked while it compiles; it is not alive for others until it is open."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        fleet.process("p", "2.0")
+        fleet.status_until(bus, "p", lambda status: status.state is State.WARMING)
+        assert "p" not in bus.live()
+        times: list[float] = []
+        for _ in range(20):
+            began = time.monotonic()
+            [answer] = bus.get(CMD.key("p") + "?op=status", timeout_s=2.0)
+            times.append(time.monotonic() - began)
+            assert json.loads(answer.payload)["state"] == "WARMING"
+        assert sorted(times)[10] < 0.1
+        fleet.is_running(bus, "p")
+        fleet.until(lambda: bus.live().get("p") == "solver")
+
+
+def test_call_names_what_is_wrong(fleet: Any):
+    """Absent, hung (SIGSTOP) and all others, by real processes."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        first, second = fleet.process("a"), fleet.process("b")
+        fleet.is_running(bus, "a")
+        fleet.is_running(bus, "b")
+        fleet.until(lambda: set(bus.live()) == {"a", "b", "hub"})
+        assert [(reply.id, reply.ok) for reply in call(bus, "*", "status", {}, 3.0)] == [("a", True), ("b", True), ("hub", True)]
+        [reply] = call(bus, "c", "status", {}, 0.3)
+        assert (reply.code, "a, b, hub" in reply.message) == (Code.ABSENT, True)
+        second.send_signal(signal.SIGSTOP)
+        [reply] = call(bus, "b", "status", {}, 0.5)
+        assert reply.code is Code.HUNG
+        replies = call(bus, "*", "status", {}, 0.5)
+        assert [(reply.id, reply.code) for reply in replies] == [("a", Code.OK), ("b", Code.HUNG), ("hub", Code.OK)]
+        fleet.until(lambda: "b" not in bus.live(), 4.0)  # the lease of 2 s
+        second.send_signal(signal.SIGCONT)
+        fleet.until(lambda: "b" in bus.live(), 4.0)
+        assert call(bus, "b", "status", {}, 3.0)[0].ok
+        first.kill()
+        fleet.until(lambda: "a" not in bus.live(), 1.0)
+
+
+def test_any_zenoh_program_can_ask(fleet: Any):
+    """A plain get: JSON, msgpack, parameters, all at once with a wildcard."""
+    fleet.hub()
+    with fleet.bus() as bus:
+        fleet.process("p")
+        fleet.is_running(bus, "p")
+    with zenoh.open(session_config("client", connect=[fleet.endpoint])) as session:
+        [reply] = session.get("rtk/p/cmd", payload='{"op":"status","request_id":"7"}', encoding="application/json", timeout=2.0)
+        assert str(reply.ok.encoding) == "application/json;rtkmesh.Reply/1"
+        answer = json.loads(reply.ok.payload.to_string())
+        assert (answer["ok"], answer["state"], answer["request_id"], answer["id"]) == (True, "RUNNING", "7", "p")
+        [reply] = session.get("rtk/p/cmd?op=help", timeout=2.0)
+        assert "crash" in json.loads(reply.ok.payload.to_string())["data"]["operations"]
+        [reply] = session.get("rtk/p/cmd", payload=b"\x81\xa2op\xa6status", timeout=2.0)
+        assert str(reply.ok.encoding) == "application/msgpack;rtkmesh.Reply/1"
+        keys = {str(reply.ok.key_expr) for reply in session.get("rtk/*/cmd?op=status", timeout=2.0)}
+        assert keys == {"rtk/p/cmd", "rtk/hub/cmd"}
+        [reply] = session.get("rtk/p/cmd?op=fly", timeout=2.0)
+        assert json.loads(reply.err.payload.to_string())["code"] == "unknown_op"
+        [reply] = session.get("rtk/p/cmd", payload=b"x" * 20_000, timeout=2.0)
+        assert json.loads(reply.err.payload.to_string())["code"] == "too_large"
+        assert list(session.get("rtk/p/cmd", payload=b"x" * 80_000, timeout=2.0)) == []  # the hub's limit of 64 KiB
+        [reply] = session.get("rtk/p/latest?what=status", timeout=2.0)
+        assert json.loads(reply.ok.payload.to_string())["status"]["id"] == "p"
+
+
+def test_a_late_joiner_gets_what_is_cached(fleet: Any):
+    """Ephemerides and status come at once, with all that was published before; events too."""
+    fleet.hub()
+    with fleet.bus("rover") as rover:
+        for number in range(3):
+            for satellite in ("G01", "E02"):
+                rover.publish(EPH, f"{satellite} {number}", satellite=satellite)
+        with fleet.bus("late") as late:
+            inbox = Inbox()
+            late.subscribe("rtk/rover/eph/*", inbox.put, history=True)
+            got = [inbox.get(5.0).payload.decode() for _ in range(4)]
+            assert sorted(got) == ["E02 1", "E02 2", "G01 1", "G01 2"]
+            rover.publish(EPH, "G01 3", satellite="G01")
+            assert inbox.get(5.0).payload == b"G01 3"
+            late.subscribe("rtk/hub/status", inbox.put, history=True)
+            assert decode(ServiceStatus, inbox.get(5.0).payload).id == "hub"
+
+
+def test_order_is_kept_over_subscriptions_and_between_cached_and_plain_streams(fleet: Any):
+    """An ephemeris that follows an epoch arrives after it: what a receiver sends keeps its order."""
+    fleet.hub()
+    with fleet.bus("rover") as rover, fleet.bus("solver") as solver:
+        seen: list[int] = []
+        done = threading.Event()
+
+        def note(sample: Sample) -> None:
+            seen.append(int(sample.payload))
+            if len(seen) == 600:
+                done.set()
+
+        solver.subscribe("rtk/rover/eph/*", note, history=True)
+        solver.subscribe("rtk/rover/obs", note)
+        fleet.until(lambda: rover.matched(OBS))
+        for number in range(600):
+            if number % 3 == 0:
+                rover.publish(EPH, str(number), satellite=f"G{number % 32:02d}")
+            else:
+                rover.publish(OBS, str(number))
+        assert done.wait(10.0)
+        assert seen == list(range(600))
+
+
+def _sleep(sample: Sample) -> None:
+    assert sample.payload
+    time.sleep(0.2)
+
+
+def test_a_slow_subscriber_slows_nobody(fleet: Any):
+    """A foreign callback that sleeps: the producer's publishes stay short, another subscriber gets all."""
+    fleet.hub()
+    with fleet.bus("slow") as slow, fleet.bus("quick") as quick:
+        slow.subscribe("rtk/p/sol/flood", _sleep)
+        inbox = Inbox(capacity=5000)
+        quick.subscribe("rtk/p/sol/flood", inbox.put)
+        fleet.process("p")
+        fleet.is_running(quick, "p")
+        do(quick, "publish", count=2000)
+        numbers = [int(inbox.get(5.0).payload[1000:]) for _ in range(2000)]
+        assert numbers == list(range(2000))
+        [reply] = call(quick, "p", "status", {}, 3.0)
+        assert reply.data["data"]["longest_publish_s"] < 0.1
+        assert reply.data["counters"]["not_sent"] == 0
+
+
+def test_a_killed_hub_comes_back_and_all_flows_again(fleet: Any):
+    """kill -9 of the hub: within a second of its return data, tokens, commands and cached messages are back."""
+    hub = fleet.hub()
+    with fleet.bus("rover") as rover, fleet.bus("solver") as solver:
+        fleet.process("p")
+        fleet.is_running(solver, "p")
+        inbox = Inbox()
+        solver.subscribe("rtk/rover/obs", inbox.put)
+        eph = Inbox()
+        solver.subscribe("rtk/rover/eph/*", eph.put, history=True)
+        rover.publish(EPH, "before", satellite="G01")
+        assert eph.get(5.0).payload == b"before"
+        hub.kill()
+        hub.wait()
+        fleet.until(lambda: not rover.connected() and not solver.connected(), 5.0)
+        rover.publish(EPH, "during", satellite="G01")
+        fleet.hub()
+        back = time.monotonic()
+        while inbox.get(0.02) is None:
+            rover.publish(OBS, "x")
+            assert time.monotonic() - back < 3.0
+        outage_s = time.monotonic() - back
+        assert eph.get(3.0).payload == b"during"
+        fleet.until(lambda: "p" in solver.live(), 3.0)
+        assert call(solver, "p", "status", {}, 3.0)[0].ok
+        assert outage_s < 1.5  # 1 s by the retry's longest period
+
+
+def test_no_hub_is_said_quickly(fleet: Any):
+    """A read command does not hang on an absent network."""
+    began = time.monotonic()
+    with pytest.raises(UnreachableError, match="is it running"):
+        open_bus("x", [fleet.endpoint], timeout_s=0.2)
+    assert time.monotonic() - began < 1.5
+
+
+def test_a_busy_port_is_a_clear_error(fleet: Any):
+    """Two hubs on one address: the second says so and ends with 2."""
+    fleet.hub()
+    second = fleet.rtkmesh("run", "hub", "--config", str(fleet.config))
+    code, error, _ = ended(second, 15.0)
+    assert code == 2
+    assert "in use" in error
+
+
+def test_the_namespace_keeps_sites_apart(fleet: Any):
+    """Two sites on one network do not see each other; keys in code are the same."""
+    fleet.namespace = "site1"
+    fleet.hub()
+    with fleet.bus("a") as one, open_bus("b", [fleet.endpoint], namespace="site2", timeout_s=5.0) as two:
+        first, other = Inbox(), Inbox()
+        one.subscribe("rtk/*/sol/*", first.put)
+        two.subscribe("rtk/*/sol/*", other.put)
+        with fleet.bus("c") as sender:
+            fleet.until(lambda: sender.matched(SOL_TEXT, format="llh"))
+            sender.publish(SOL_TEXT, "hello", format="llh")
+        sample = first.get(5.0)
+        assert (sample.key, sample.payload) == ("rtk/c/sol/llh", b"hello")
+        assert other.get(0.2) is None
+        assert "hub" in one.live()
+        assert two.live() == {}
+
+
+def test_closing_is_quick_and_complete(fleet: Any):
+    """Everything declared is taken back; a closed bus neither raises nor sends."""
+    fleet.hub()
+    with fleet.bus("watcher") as watcher:
+        bus = fleet.bus("a")
+        bus.live_token("solver", "a")
+        bus.queryable(CMD.key("a"), lambda query: query.reply(b"{}", "application/json"))
+        bus.publish(EPH, "x", satellite="G01")
+        bus.subscribe("rtk/**", list[Sample]().append)
+        assert watcher.live()["a"] == "solver"
+        began = time.monotonic()
+        bus.close()
+        bus.close()
+        assert time.monotonic() - began < 1.0
+        bus.publish(EPH, "y", satellite="G01")
+        assert bus.counters["not_sent"] == 1
+        assert "a" not in watcher.live()
+        assert watcher.get(CMD.key("a"), timeout_s=1.0) == []
