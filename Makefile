@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 ARGS ?=
 READY := $(VENV)/.ready
 WARM := $(VENV)/.warm
+# The tests of kernels that run once more as plain Python: the same results without the compiler.
+NOJIT := $(wildcard tests/gnss tests/models tests/attitude tests/rtk tests/codecs)
 
 .PHONY: help setup demo test lint bench fuzz clean
 .DEFAULT_GOAL := help
@@ -29,10 +31,9 @@ $(WARM): $(READY)
 demo: setup ## the main job on simulated receivers; ARGS="--seconds 30 --json"
 	@$(BIN)/rtkmesh demo $(ARGS)
 
-test: setup ## all tests; ARGS="-k name"
-	$(BIN)/python -m pytest $(ARGS) -m "not e2e and not slow"
-	$(BIN)/python -m pytest $(ARGS) -m "e2e or slow"
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(ARGS) -m "not e2e and not slow and not data and not rtklib" tests/gnss tests/models tests/rtk tests/attitude
+test: setup ## all tests, quick ones first; ARGS="-k name"
+	$(BIN)/python -m pytest --durations=10 $(ARGS)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -m "not e2e and not slow and not data and not rtklib" $(NOJIT)
 
 lint: $(READY) ## ruff, pyright, import contract
 	$(BIN)/ruff check

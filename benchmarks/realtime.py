@@ -21,7 +21,7 @@ import rt_load
 from rtkmesh_schemas.keys import SOL
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.wire import decode
-from rtkmesh_services.runtime.zenoh_bus import ZenohBus
+from rtkmesh_services.runtime.zenoh_bus import open_bus
 
 BASE_ECEF_M = (-4467102.3061, 2683039.5304, -3666949.9820)
 TRUTH_ECEF_M = (-4467074.3577, 2683011.9038, -3667008.2845)
@@ -89,7 +89,7 @@ class BusSolutions:
         self._endpoint = endpoint
 
     def start(self, push) -> None:
-        self._bus = ZenohBus("benchmark", (self._endpoint,))
+        self._bus = open_bus("benchmark", (self._endpoint,))
 
         def take(sample) -> None:
             solution = decode(SolutionMessage, sample.payload, sample.encoding)

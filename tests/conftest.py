@@ -41,3 +41,9 @@ def rtklib_program():
         return path
 
     return find
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run what is quick first: processes and slow tests come last, in the random order that they have."""
+    items.sort(key=lambda item: sum(item.get_closest_marker(name) is not None for name in ("e2e", "slow")))

@@ -128,7 +128,8 @@ def test_orbits_go_on_smoothly_from_issue_to_issue(data):
             satellite_states(last_rows, at.week, at.tow_s, codes, old)
             satellite_states(rows, at.week, at.tow_s, codes, new)
             jump = np.linalg.norm(old[:, :3] - new[:, :3], axis=1)
-            changed = (old[:, STATE_OK] * new[:, STATE_OK] != 0.0) & (last_rows[:, TOE_TOW] != rows[:, TOE_TOW])
+            step_s = np.abs(last_rows[:, TOE_TOW] - rows[:, TOE_TOW])
+            changed = (old[:, STATE_OK] * new[:, STATE_OK] != 0.0) & (step_s > 0.0) & (step_s <= 7200.0)
             for i in np.flatnonzero(changed & (last_rows[:, MESSAGE] == rows[:, MESSAGE])):
                 steps[int(known[i]) // 64].append(float(jump[i]))
         last_rows = rows
@@ -161,7 +162,7 @@ def test_atmosphere_on_a_grid(lat_deg, lon_deg, height_m):
         for elevation in (0.1, 0.3, 0.8, 1.4):
             wet = rtklib.Arr1Ddouble(1)
             dry = rtklib.tropmapf(time, position, doubles((0.0, elevation)), wet)
-            assert hydrostatic_mapping(troposphere, elevation) == pytest.approx(dry, rel=2e-5)  # our day of year is within one day
+            assert hydrostatic_mapping(troposphere, elevation) == pytest.approx(dry, rel=1e-9)
             assert wet_mapping(troposphere, elevation) == pytest.approx(wet[0], rel=1e-9)
             for azimuth in (0.0, 2.0, 5.0):
                 theirs = rtklib.ionmodel(time, doubles(ion), position, doubles((azimuth, elevation)))
@@ -169,7 +170,7 @@ def test_atmosphere_on_a_grid(lat_deg, lon_deg, height_m):
 
 
 def test_range_and_angles():
-    """RTKLIB's Sagnac term is of first order: 1 mm; its unit vector is not turned into the frame of reception: 6e-6."""
+    """RTKLIB's Sagnac term is of first order: 1 mm; its unit vector is not turned into the frame of reception: 1e-5."""
     receiver = ecef_from_geodetic(0.6, 2.4, 100.0)
     states = np.zeros((40, STATE))
     random = np.random.default_rng(3)
@@ -182,7 +183,7 @@ def test_range_and_angles():
         distance = rtklib.geodist(doubles((*states[i, :3], 0.0, 0.0, 0.0)), doubles(receiver), unit)
         rtklib.satazel(doubles((0.6, 2.4, 100.0)), unit, angles)
         assert geometry[i, RANGE] == pytest.approx(distance, abs=2e-3)
-        np.testing.assert_allclose(geometry[i, E_X : E_Z + 1], [unit[k] for k in range(3)], atol=1e-5)
+        np.testing.assert_allclose(geometry[i, E_X : E_Z + 1], [unit[k] for k in range(3)], atol=2e-5)
         assert geometry[i, ELEVATION] == pytest.approx(angles[1], abs=2e-5)
         turn = (geometry[i, AZIMUTH] - angles[0] + np.pi) % (2.0 * np.pi) - np.pi
         assert abs(turn * np.cos(angles[1])) < 2e-5

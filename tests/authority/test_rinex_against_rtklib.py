@@ -67,7 +67,7 @@ def plain(path: Path, folder: Path) -> Path:
     return text
 
 
-def thinned(path: Path, folder: Path, size: int = 1_200_000) -> Path:
+def thinned(path: Path, folder: Path, size: int = 500_000) -> Path:
     """Return the file cut behind ``size`` bytes (at an end of line), to bound the time of the comparison."""
     text = path.read_bytes()
     if len(text) <= size:

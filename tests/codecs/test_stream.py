@@ -42,11 +42,18 @@ def same(a: Message, b: Message) -> bool:
     return repr(a) == repr(b)
 
 
-def test_repeated_and_late_epochs_are_dropped_and_counted():
-    """An epoch that comes twice, or after a newer one, is no epoch."""
+def test_an_overtaken_epoch_is_passed_on_late_once():
+    """Networks let epochs overtake each other; pairing puts them in their places."""
     decoder = StreamDecoder()
-    found = messages_of(decoder, b"".join(rawx(2350, t) for t in (100.0, 101.0, 101.0, 100.5, 102.0)))
-    assert times(found) == [2350 * 604_800 + t for t in (100.0, 101.0, 102.0)]
+    found = messages_of(decoder, b"".join(rawx(2350, t) for t in (100.0, 101.0, 100.5, 100.5, 102.0)))
+    assert times(found) == [2350 * 604_800 + t for t in (100.0, 101.0, 100.5, 102.0)]
+
+
+def test_repeated_and_late_epochs_are_dropped_and_counted():
+    """An epoch that comes twice, or long after a newer one, is no epoch."""
+    decoder = StreamDecoder()
+    found = messages_of(decoder, b"".join(rawx(2350, t) for t in (100.0, 110.0, 110.0, 104.5, 112.0)))
+    assert times(found) == [2350 * 604_800 + t for t in (100.0, 110.0, 112.0)]
     assert decoder.decoding.rejected == {"ubx epoch repeated": 1, "ubx epoch out of order": 1}
     assert decoder.decoding.epochs == 3
 

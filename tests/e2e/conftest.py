@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,15 +28,16 @@ class Deployment:
 
     def __init__(self, command: list[str], endpoint: str, environment: dict[str, str] | None = None) -> None:
         self.endpoint = endpoint
+        self._mark = f"RTKMESH_TEST={uuid.uuid4().hex}"
+        name, _, value = self._mark.partition("=")
         self.process = subprocess.Popen(
             [sys.executable, "-m", "rtkmesh_services.cli.main", *command],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env={**os.environ, **(environment or {})},
+            env={**os.environ, **(environment or {}), name: value},
         )
         self.events: list[dict[str, Any]] = []
-        self.pids: set[int] = set()
         self.log: list[str] = []
         self._readers = [threading.Thread(target=self._read_events, daemon=True), threading.Thread(target=self._read_log, daemon=True)]
         for reader in self._readers:
@@ -85,11 +87,12 @@ class Deployment:
         return code
 
     def left(self) -> list[int]:
-        """Return the processes of the deployment that are still there."""
-        return [pid for pid in self.pids if is_running(pid)]
+        """Return the processes that stem from this deployment and are still there: they all inherit its mark."""
+        pids = [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
+        return [pid for pid in pids if pid != self.process.pid and is_running(pid) and self._mark in environment_of(pid)]
 
     def text(self) -> str:
-        return "\n".join([*map(str, self.events[-10:]), *self.log[-30:]])
+        return "\n".join([*map(str, self.events[-10:]), *self.log[-80:]])
 
     def close(self) -> None:
         if self._bus is not None:
@@ -105,7 +108,6 @@ class Deployment:
         with self.process.stdout as lines:
             for line in lines:
                 event = json.loads(line) if line.startswith(b"{") else {"event": "text", "text": line.decode()}
-                self.pids.add(event.get("pid", 0) or self.process.pid)
                 self.events.append(event)
 
     def _read_log(self) -> None:
@@ -120,6 +122,14 @@ def is_running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
+
+
+def environment_of(pid: int) -> list[str]:
+    """Return the environment that a process was started with; nothing if it has just gone."""
+    try:
+        return Path(f"/proc/{pid}/environ").read_bytes().decode(errors="replace").split("\0")
+    except (FileNotFoundError, ProcessLookupError, PermissionError):
+        return []
 
 
 @pytest.fixture

@@ -149,3 +149,16 @@ def test_help_is_light() -> None:
     assert (done.returncode, done.stderr) == (0, "")
     assert "--base-ecef" in done.stdout
     assert "Examples" in done.stdout
+
+
+@pytest.mark.data
+def test_rtcm_log_takes_its_date_from_the_other_recording(data: Path) -> None:
+    """Beside a dated recording an RTCM 3 log needs no --date: its week is the other's."""
+    from rtkmesh.gnss.epoch import Epoch
+    from rtkmesh_services.cli.offline import open_inputs
+
+    rtcm = data / "stromlo_rtcm/week-rollover-STR24.rtcm3"  # 2018
+    inputs = open_inputs(rtcm, data / "yamatogawa_walk/yamatogawa_rover.obs", (), None)  # 2010-01-06
+    first = next(message for message in inputs.rover.messages() if isinstance(message, Epoch))
+    inputs.rover.close()
+    assert first.time.week in {1564, 1565}

@@ -37,7 +37,7 @@ def kepler(name: str, toe: GpsTime = NOON, **changes: object) -> KeplerEphemeris
         "crc_m": 304.5, "crs_m": 65.0, "cic_rad": -1.3e-7, "cis_rad": 4.2e-7, "af0_s": 1e-5 * (number - 10), "af1": -5.6e-12, "af2": 0.0,
         "group_delay_s": (1.0e-9 * (number % 7), -2.0e-9),
     }  # fmt: skip
-    return KeplerEphemeris(**{**values, **changes})  # type: ignore[arg-type]
+    return KeplerEphemeris(**{**values, **changes})
 
 
 def glonass(name: str, toe: GpsTime = NOON, **changes: object) -> GlonassEphemeris:
@@ -53,7 +53,7 @@ def glonass(name: str, toe: GpsTime = NOON, **changes: object) -> GlonassEphemer
         "accuracy_m": 5.0, "age_days": 0, "position_m": tuple(position), "velocity_mps": tuple(velocity),
         "acceleration_mps2": (1e-6, -1e-6, 2e-6), "tau_s": -3e-5, "gamma": 1e-12, "group_delay_s": 2e-9,
     }  # fmt: skip
-    return GlonassEphemeris(**{**values, **changes})  # type: ignore[arg-type]
+    return GlonassEphemeris(**{**values, **changes})
 
 
 def whole_sky(toe: GpsTime = NOON) -> list[Ephemeris]:

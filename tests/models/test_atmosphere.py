@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from rtkmesh.gnss.ephemeris import KlobucharParameters
+from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.atmosphere import (
     DEFAULT_KLOBUCHAR,
     TROPOSPHERE,
+    day_of_year,
     hydrostatic_mapping,
     ionosphere_l1_m,
     klobuchar_vector,
@@ -24,6 +26,14 @@ def troposphere(lat_deg: float, height_m: float, week: int = 2150, tow_s: float 
     out = np.empty(TROPOSPHERE)
     troposphere_at(radians(lat_deg), height_m, week, tow_s, out)
     return out
+
+
+@pytest.mark.parametrize(
+    ("year", "month", "day"), [(1980, 1, 6), (1980, 12, 31), (1981, 1, 1), (2023, 12, 31), (2024, 2, 29), (2024, 12, 31), (2025, 1, 1)]
+)
+def test_day_of_year_is_the_calendars(year, month, day):
+    at = GpsTime.from_calendar(year, month, day, 18)
+    assert day_of_year(at.week, at.tow_s) == at.to_calendar().timetuple().tm_yday + 0.75
 
 
 def test_zenith_delays_of_the_standard_atmosphere():

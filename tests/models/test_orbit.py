@@ -159,3 +159,8 @@ def test_beidou_and_glonass_delays_are_those_of_their_interface_documents(row):
     np.testing.assert_allclose(delays, [SPEED_OF_LIGHT_MPS * 3e-9, SPEED_OF_LIGHT_MPS * -5e-9, 0.0])
     assert group_delay_m(glonass, signal_number("1C")) == 0.0
     assert group_delay_m(glonass, signal_number("2C")) == pytest.approx(SPEED_OF_LIGHT_MPS * 2e-9)
+
+
+def test_without_an_ephemeris_the_group_delay_is_not_known(noon):
+    nothing = EphemerisTable().select(np.array([satellite_number("G05")], np.int16), noon)
+    assert np.isnan(group_delay_m(nothing[0], signal_number("1C")))

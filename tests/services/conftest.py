@@ -22,7 +22,7 @@ from rtkmesh_services.runtime.zenoh_bus import ZenohBus, open_bus
 UNDER_TEST = Path(__file__).parent / "process_under_test.py"
 
 
-def free_port() -> int:
+def unused_port() -> int:
     """Return a loopback port that nobody listens on."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
@@ -36,7 +36,7 @@ class Fleet:
 
     folder: Path
     namespace: str = ""
-    port: int = field(default_factory=free_port)
+    port: int = field(default_factory=unused_port)
     running: list[subprocess.Popen[str]] = field(default_factory=list)
     under_test: Path = UNDER_TEST
 
@@ -69,10 +69,12 @@ class Fleet:
         return self.start("-m", "rtkmesh_services.cli.main", *arguments)
 
     def hub(self) -> subprocess.Popen[str]:
-        """Start the hub and wait until it listens."""
+        """Start the hub and wait until it is alive."""
         process = self.rtkmesh("run", "hub", "--config", str(self.config))
         self.until(lambda: self._listens() or process.poll() is not None)
         assert process.poll() is None, process.communicate()
+        with self.bus() as bus:
+            self.until(lambda: "hub" in bus.live())
         return process
 
     def process(self, name: str, *arguments: str, environment: dict[str, str] | None = None) -> subprocess.Popen[str]:
@@ -128,3 +130,26 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
     fleet = Fleet(tmp_path)
     yield fleet
     fleet.kill()
+
+
+@pytest.fixture(scope="module")
+def hub_port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """The port of a hub that the tests of a module share."""
+    shared = Fleet(tmp_path_factory.mktemp("hub"))
+    shared.hub()
+    yield shared.port
+    shared.kill()
+
+
+@pytest.fixture
+def site(tmp_path: Path, hub_port: int) -> Iterator[Fleet]:
+    """Processes of one test at the shared hub."""
+    fleet = Fleet(tmp_path, port=hub_port)
+    yield fleet
+    fleet.kill()
+
+
+@pytest.fixture(scope="session")
+def free_port() -> Callable[[], int]:
+    """A function that returns a loopback port that nobody listens on."""
+    return unused_port

@@ -7,13 +7,14 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
 
 from rtkmesh_schemas.command import Code
-from rtkmesh_schemas.keys import CMD, EPH, EVENT, OBS, SOL_TEXT, STATUS
+from rtkmesh_schemas.keys import CMD, CREDIT, EPH, EVENT, OBS, SOL_TEXT, STATUS
 from rtkmesh_schemas.status import Event, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.errors import UnreachableError
@@ -39,14 +40,13 @@ def do(bus: ZenohBus, op: str, name: str = "p", **arguments: Any) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_a_service_with_callbacks_in_two_seconds(fleet: Any, number: signal.Signals):
+def test_a_signal_ends_a_service_with_callbacks_in_two_seconds(site: Any, number: signal.Signals):
     """Exit code 0, a last status STOPPED with the reason, no token left."""
-    fleet.hub()
-    with fleet.bus() as bus:
-        process = fleet.process("p")
-        fleet.is_running(bus, "p")
+    with site.bus() as bus:
         seen = Inbox()
         bus.subscribe(STATUS.key("p"), seen.put)
+        process = site.process("p")
+        site.is_running(bus, "p")
         process.send_signal(number)
         code, error, took = ended(process, 2.0)
         assert (code, took < 2.0) == (0, True), error
@@ -65,21 +65,20 @@ def test_a_signal_ends_a_service_that_waits_for_the_hub(fleet: Any):
 
 def _has_handler(pid: int, number: signal.Signals) -> bool:
     """Return whether a process catches a signal (Linux, /proc)."""
-    lines = open(f"/proc/{pid}/status").read().splitlines()  # noqa: PTH123, SIM115  short-lived
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     caught = next(int(line.split()[1], 16) for line in lines if line.startswith("SigCgt"))
     return bool(caught >> (number - 1) & 1)
 
 
 @pytest.mark.parametrize(("op", "words"), [("crash", "told to crash"), ("crash_thread", "told to crash in a thread")])
-def test_an_uncaught_exception_ends_the_process_with_70(fleet: Any, op: str, words: str):
+def test_an_uncaught_exception_ends_the_process_with_70(site: Any, op: str, words: str):
     """No zombie that still answers: an event, the traceback, a FAILED status, gone."""
-    fleet.hub()
-    with fleet.bus() as bus:
-        process = fleet.process("p")
-        fleet.is_running(bus, "p")
+    with site.bus() as bus:
         events, statuses = Inbox(), Inbox()
         bus.subscribe(EVENT.key("p", level="error"), events.put)
         bus.subscribe(STATUS.key("p"), statuses.put)
+        process = site.process("p")
+        site.is_running(bus, "p")
         do(bus, op)
         code, error, _ = ended(process, 3.0)
         assert code == 70
@@ -92,51 +91,49 @@ def test_an_uncaught_exception_ends_the_process_with_70(fleet: Any, op: str, wor
         assert "p" not in bus.live()
 
 
-def test_a_fault_of_the_site_ends_with_2(fleet: Any):
+def test_a_fault_of_the_site_ends_with_2(site: Any):
     """A missing device or a wrong file is not a bug: another exit code."""
-    fleet.hub()
-    with fleet.bus() as bus:
-        process = fleet.process("p")
-        fleet.is_running(bus, "p")
+    with site.bus() as bus:
+        process = site.process("p")
+        site.is_running(bus, "p")
         do(bus, "site")
         assert ended(process, 3.0)[0] == 2
 
 
 @pytest.mark.parametrize(("op", "code"), [("hang", 75), ("hang_close", 75), ("burn", 0)])
-def test_an_end_that_hangs_is_cut_off(fleet: Any, op: str, code: int):
+def test_an_end_that_hangs_is_cut_off(site: Any, op: str, code: int):
     """A loop in C code, a device that does not close, a thread that does not end: gone within two seconds."""
-    fleet.hub()
-    with fleet.bus() as bus:
-        process = fleet.process("p")
-        fleet.is_running(bus, "p")
+    with site.bus() as bus:
+        process = site.process("p")
+        site.is_running(bus, "p")
         do(bus, op)
+        if op == "hang":
+            site.until(lambda: call(bus, "p", "status", {}, 0.2)[0].code is Code.HUNG)
         process.send_signal(signal.SIGTERM)
         assert ended(process, 2.0)[0] == code
 
 
-def test_shutdown_by_command(fleet: Any):
+def test_shutdown_by_command(site: Any):
     """``shutdown`` answers, then the process ends with 0."""
-    fleet.hub()
-    with fleet.bus() as bus:
-        process = fleet.process("p")
-        fleet.is_running(bus, "p")
+    with site.bus() as bus:
+        process = site.process("p")
+        site.is_running(bus, "p")
         do(bus, "shutdown")
         assert ended(process, 2.0)[0] == 0
 
 
-def test_the_parent_s_death_is_the_child_s(fleet: Any):
+def test_the_parent_s_death_is_the_child_s(site: Any):
     """No orphans, also when the parent is killed with -9."""
-    fleet.hub()
-    with fleet.bus() as bus:
+    with site.bus() as bus:
         script = (
             "import os, subprocess, sys, time; "
             "subprocess.Popen(sys.argv[1:], env={**os.environ, 'RTKMESH_PARENT': str(os.getpid())}); time.sleep(60)"
         )
-        parent = fleet.start("-c", script, sys.executable, str(fleet.under_test), str(fleet.config), "p")
-        pid = fleet.is_running(bus, "p").pid
+        parent = site.start("-c", script, sys.executable, str(site.under_test), str(site.config), "p")
+        pid = site.is_running(bus, "p").pid
         assert pid != parent.pid
         parent.kill()
-        fleet.until(lambda: not _alive(pid), 3.0)
+        site.until(lambda: not _alive(pid), 3.0)
 
 
 def _alive(pid: int) -> bool:
@@ -144,15 +141,14 @@ def _alive(pid: int) -> bool:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    return "\nState:\tZ" not in open(f"/proc/{pid}/status").read()  # noqa: PTH123  short-lived
+    return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
 
 
-def test_commands_are_answered_within_100_ms_while_warming(fleet: Any):
+def test_commands_are_answered_within_100_ms_while_warming(site: Any):
     """The process is asked while it compiles; it is not alive for others until it is open."""
-    fleet.hub()
-    with fleet.bus() as bus:
-        fleet.process("p", "2.0")
-        fleet.status_until(bus, "p", lambda status: status.state is State.WARMING)
+    with site.bus() as bus:
+        site.process("p", "2.0")
+        site.status_until(bus, "p", lambda status: status.state is State.WARMING)
         assert "p" not in bus.live()
         times: list[float] = []
         for _ in range(20):
@@ -161,18 +157,17 @@ def test_commands_are_answered_within_100_ms_while_warming(fleet: Any):
             times.append(time.monotonic() - began)
             assert json.loads(answer.payload)["state"] == "WARMING"
         assert sorted(times)[10] < 0.1
-        fleet.is_running(bus, "p")
-        fleet.until(lambda: bus.live().get("p") == "solver")
+        site.is_running(bus, "p")
+        site.until(lambda: bus.live().get("p") == "solver")
 
 
-def test_call_names_what_is_wrong(fleet: Any):
+def test_call_names_what_is_wrong(site: Any):
     """Absent, hung (SIGSTOP) and all others, by real processes."""
-    fleet.hub()
-    with fleet.bus() as bus:
-        first, second = fleet.process("a"), fleet.process("b")
-        fleet.is_running(bus, "a")
-        fleet.is_running(bus, "b")
-        fleet.until(lambda: set(bus.live()) == {"a", "b", "hub"})
+    with site.bus() as bus:
+        first, second = site.process("a"), site.process("b")
+        site.is_running(bus, "a")
+        site.is_running(bus, "b")
+        site.until(lambda: set(bus.live()) == {"a", "b", "hub"})
         assert [(reply.id, reply.ok) for reply in call(bus, "*", "status", {}, 3.0)] == [("a", True), ("b", True), ("hub", True)]
         [reply] = call(bus, "c", "status", {}, 0.3)
         assert (reply.code, "a, b, hub" in reply.message) == (Code.ABSENT, True)
@@ -181,21 +176,20 @@ def test_call_names_what_is_wrong(fleet: Any):
         assert reply.code is Code.HUNG
         replies = call(bus, "*", "status", {}, 0.5)
         assert [(reply.id, reply.code) for reply in replies] == [("a", Code.OK), ("b", Code.HUNG), ("hub", Code.OK)]
-        fleet.until(lambda: "b" not in bus.live(), 4.0)  # the lease of 2 s
+        site.until(lambda: "b" not in bus.live(), 4.0)  # the lease of 2 s
         second.send_signal(signal.SIGCONT)
-        fleet.until(lambda: "b" in bus.live(), 4.0)
+        site.until(lambda: "b" in bus.live(), 4.0)
         assert call(bus, "b", "status", {}, 3.0)[0].ok
         first.kill()
-        fleet.until(lambda: "a" not in bus.live(), 1.0)
+        site.until(lambda: "a" not in bus.live(), 1.0)
 
 
-def test_any_zenoh_program_can_ask(fleet: Any):
+def test_any_zenoh_program_can_ask(site: Any):
     """A plain get: JSON, msgpack, parameters, all at once with a wildcard."""
-    fleet.hub()
-    with fleet.bus() as bus:
-        fleet.process("p")
-        fleet.is_running(bus, "p")
-    with zenoh.open(session_config("client", connect=[fleet.endpoint])) as session:
+    with site.bus() as bus:
+        site.process("p")
+        site.is_running(bus, "p")
+    with zenoh.open(session_config("client", connect=[site.endpoint])) as session:
         [reply] = session.get("rtk/p/cmd", payload='{"op":"status","request_id":"7"}', encoding="application/json", timeout=2.0)
         assert str(reply.ok.encoding) == "application/json;rtkmesh.Reply/1"
         answer = json.loads(reply.ok.payload.to_string())
@@ -215,14 +209,13 @@ def test_any_zenoh_program_can_ask(fleet: Any):
         assert json.loads(reply.ok.payload.to_string())["status"]["id"] == "p"
 
 
-def test_a_late_joiner_gets_what_is_cached(fleet: Any):
+def test_a_late_joiner_gets_what_is_cached(site: Any):
     """Ephemerides and status come at once, with all that was published before; events too."""
-    fleet.hub()
-    with fleet.bus("rover") as rover:
+    with site.bus("rover") as rover:
         for number in range(3):
             for satellite in ("G01", "E02"):
                 rover.publish(EPH, f"{satellite} {number}", satellite=satellite)
-        with fleet.bus("late") as late:
+        with site.bus("late") as late:
             inbox = Inbox()
             late.subscribe("rtk/rover/eph/*", inbox.put, history=True)
             got = [inbox.get(5.0).payload.decode() for _ in range(4)]
@@ -233,10 +226,9 @@ def test_a_late_joiner_gets_what_is_cached(fleet: Any):
             assert decode(ServiceStatus, inbox.get(5.0).payload).id == "hub"
 
 
-def test_order_is_kept_over_subscriptions_and_between_cached_and_plain_streams(fleet: Any):
+def test_order_is_kept_over_subscriptions_and_between_cached_and_plain_streams(site: Any):
     """An ephemeris that follows an epoch arrives after it: what a receiver sends keeps its order."""
-    fleet.hub()
-    with fleet.bus("rover") as rover, fleet.bus("solver") as solver:
+    with site.bus("rover") as rover, site.bus("solver") as solver:
         seen: list[int] = []
         done = threading.Event()
 
@@ -247,7 +239,9 @@ def test_order_is_kept_over_subscriptions_and_between_cached_and_plain_streams(f
 
         solver.subscribe("rtk/rover/eph/*", note, history=True)
         solver.subscribe("rtk/rover/obs", note)
-        fleet.until(lambda: rover.matched(OBS))
+        attached = threading.Event()
+        rover.subscribe("rtk/rover/credit", lambda sample: attached.set() if sample.payload == b"ready" else None)
+        site.until(lambda: _announced(solver, attached))
         for number in range(600):
             if number % 3 == 0:
                 rover.publish(EPH, str(number), satellite=f"G{number % 32:02d}")
@@ -257,20 +251,25 @@ def test_order_is_kept_over_subscriptions_and_between_cached_and_plain_streams(f
         assert seen == list(range(600))
 
 
+def _announced(solver: ZenohBus, attached: threading.Event) -> bool:
+    """Say that the subscriptions stand, as a consumer of a replay does; they went before on the same link."""
+    solver.publish_as("rover", CREDIT, b"ready")
+    return attached.wait(0.1)
+
+
 def _sleep(sample: Sample) -> None:
     assert sample.payload
     time.sleep(0.2)
 
 
-def test_a_slow_subscriber_slows_nobody(fleet: Any):
+def test_a_slow_subscriber_slows_nobody(site: Any):
     """A foreign callback that sleeps: the producer's publishes stay short, another subscriber gets all."""
-    fleet.hub()
-    with fleet.bus("slow") as slow, fleet.bus("quick") as quick:
+    with site.bus("slow") as slow, site.bus("quick") as quick:
         slow.subscribe("rtk/p/sol/flood", _sleep)
         inbox = Inbox(capacity=5000)
         quick.subscribe("rtk/p/sol/flood", inbox.put)
-        fleet.process("p")
-        fleet.is_running(quick, "p")
+        site.process("p")
+        site.is_running(quick, "p")
         do(quick, "publish", count=2000)
         numbers = [int(inbox.get(5.0).payload[1000:]) for _ in range(2000)]
         assert numbers == list(range(2000))
@@ -315,10 +314,9 @@ def test_no_hub_is_said_quickly(fleet: Any):
     assert time.monotonic() - began < 1.5
 
 
-def test_a_busy_port_is_a_clear_error(fleet: Any):
+def test_a_busy_port_is_a_clear_error(site: Any):
     """Two hubs on one address: the second says so and ends with 2."""
-    fleet.hub()
-    second = fleet.rtkmesh("run", "hub", "--config", str(fleet.config))
+    second = site.rtkmesh("run", "hub", "--config", str(site.config))
     code, error, _ = ended(second, 15.0)
     assert code == 2
     assert "in use" in error
@@ -342,21 +340,19 @@ def test_the_namespace_keeps_sites_apart(fleet: Any):
         assert two.live() == {}
 
 
-def test_closing_is_quick_and_complete(fleet: Any):
+def test_closing_is_quick_and_complete(site: Any):
     """Everything declared is taken back; a closed bus neither raises nor sends."""
-    fleet.hub()
-    with fleet.bus("watcher") as watcher:
-        bus = fleet.bus("a")
+    with site.bus("watcher") as watcher, site.bus("a") as bus:
         bus.live_token("solver", "a")
         bus.queryable(CMD.key("a"), lambda query: query.reply(b"{}", "application/json"))
         bus.publish(EPH, "x", satellite="G01")
         bus.subscribe("rtk/**", list[Sample]().append)
-        assert watcher.live()["a"] == "solver"
+        site.until(lambda: watcher.live().get("a") == "solver")
         began = time.monotonic()
         bus.close()
         bus.close()
         assert time.monotonic() - began < 1.0
         bus.publish(EPH, "y", satellite="G01")
         assert bus.counters["not_sent"] == 1
-        assert "a" not in watcher.live()
+        site.until(lambda: "a" not in watcher.live(), 1.0)
         assert watcher.get(CMD.key("a"), timeout_s=1.0) == []

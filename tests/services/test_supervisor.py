@@ -230,6 +230,17 @@ def test_end_stops_processes_first_and_the_hub_last() -> None:
     assert fleet.supervisor.ended
 
 
+@pytest.mark.parametrize("command", ["stop", "end"])
+def test_process_that_is_started_while_it_is_stopped_does_not_stay(command: str) -> None:
+    """The order to spawn was given before the command and carried out after it."""
+    fleet = Fleet()
+    fleet.supervisor.add(ROVER)
+    assert fleet.supervisor.actions(fleet.now_s) == [Action(Verb.SPAWN, "rover")]
+    getattr(fleet.supervisor, command)(*(["rover"] if command == "stop" else []), fleet.now_s)
+    fleet.supervisor.spawned("rover", 7, fleet.now_s)
+    assert fleet.run() == [Action(Verb.TERMINATE, "rover")]
+
+
 def test_removed_process_is_forgotten_when_it_is_gone() -> None:
     fleet = Fleet(HUB, ROVER)
     fleet.supervisor.remove("rover", fleet.now_s)

@@ -28,6 +28,8 @@ NMEA_MAX_LENGTH: Final = 1024  # the standard says 82; proprietary sentences (PU
 # What a candidate is (negative: not a whole frame).
 _NO_FRAME, _NEEDS_MORE, _BAD_CHECKSUM = -1, -2, -3
 
+_NMEA_ADDRESS, _MAX_KINDS = 8, 1000  # longest address, and number of kinds, that get a counter of their own
+
 _BATCH = 512  # frames per call of the scan kernel
 
 
@@ -149,7 +151,7 @@ class Framer:
         self._pending = b""
         self._found = np.zeros((_BATCH, 3), np.int64)
         self._failures = np.zeros(len(FRAMED), np.int64)
-        self._kinds: dict[bytes, str] = {}
+        self._kinds: dict[bytes | int, tuple[str, str]] = {}
 
     @property
     def pending(self) -> int:
@@ -170,7 +172,7 @@ class Framer:
         while True:
             count, position, skipped = scan_frames(view, position, final, self._mask, self._found, self._failures)
             self.counters.bytes_skipped += skipped
-            frames += [self._frame(data[start:end], protocol) for start, end, protocol in self._found[:count].tolist()]
+            self._append_frames(frames, data, self._found[:count].tolist())
             if count < _BATCH:
                 break
         self._pending = data[position:]
@@ -183,13 +185,30 @@ class Framer:
                 self.counters.checksum_failures[protocol] += failures
             self._failures[:] = 0
 
-    def _frame(self, data: bytes, protocol: int) -> Frame:
-        name = FRAMED[protocol]
-        if protocol == _UBX:
-            kind = self._kinds.get(data[2:4]) or self._kinds.setdefault(data[2:4], f"{data[2]:02x}-{data[3]:02x}")
-        elif protocol == _RTCM3:
-            kind = str(data[3] << 4 | data[4] >> 4) if len(data) > RTCM3_OVERHEAD + 1 else "0"
+    def _append_frames(self, frames: list[Frame], data: bytes, found: list[list[int]]) -> None:
+        seen: list[str] = []
+        for start, end, protocol in found:
+            frame = data[start:end]
+            if protocol == _UBX:
+                key: bytes | int = frame[2:4]
+            elif protocol == _RTCM3:
+                key = frame[3] << 4 | frame[4] >> 4 if end - start > RTCM3_OVERHEAD + 1 else 0
+            else:
+                key = frame[1 : frame.find(b"," if b"," in frame else b"*")]
+            kind, label = self._kinds.get(key) or self._name(key, protocol)
+            seen.append(label)
+            frames.append(Frame(FRAMED[protocol], kind, frame))
+        self.counters.frames.update(seen)
+
+    def _name(self, key: bytes | int, protocol: int) -> tuple[str, str]:
+        """Return the kind of a message and its name in the counters (the odd ones share one: a hostile stream must not fill memory)."""
+        if isinstance(key, int):
+            kind = str(key)
+        elif protocol == _UBX:
+            kind = f"{key[0]:02x}-{key[1]:02x}"
         else:
-            kind = data[1 : data.find(b"," if b"," in data else b"*")].decode("ascii")
-        self.counters.frames[f"{name}/{kind}"] += 1
-        return Frame(name, kind, data)
+            kind = key.decode("ascii")
+            if len(key) > _NMEA_ADDRESS or len(self._kinds) > _MAX_KINDS:
+                return kind, "nmea/other"
+        self._kinds[key] = kind, f"{FRAMED[protocol]}/{kind}"
+        return self._kinds[key]

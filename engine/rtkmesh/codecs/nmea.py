@@ -11,6 +11,7 @@ from rtkmesh.gnss.time import GpsTime
 
 _FIX_OF_QUALITY: Final = {1: 3, 2: 4, 3: 3, 4: 6, 5: 5, 6: 1}
 _NAN: Final = float("nan")
+_MAX_KINDS: Final = 1000  # sentences with a counter of their own
 
 
 class NmeaDecoder:
@@ -32,7 +33,8 @@ class NmeaDecoder:
         elif sentence == "GST":
             fix = self._gst(fields)
         else:
-            self.counters.ignored[f"nmea/{frame.kind}"] += 1
+            known = len(self.counters.ignored) < _MAX_KINDS
+            self.counters.ignored[f"nmea/{frame.kind}" if known else "nmea/other"] += 1
             return []
         if fix is False:
             self.counters.rejected[f"nmea/{frame.kind} field"] += 1

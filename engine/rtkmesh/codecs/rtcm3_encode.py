@@ -15,18 +15,18 @@ from rtkmesh.codecs.checksums import crc24q
 from rtkmesh.codecs.rtcm3_ephemeris import ephemeris_payload
 from rtkmesh.codecs.rtcm3_epochs import DAY_MS, MOSCOW_MS, WEEK_MS
 from rtkmesh.codecs.rtcm3_msm import (
-    FIELD_BITS,
-    FIELD_SCALES,
     FIRST_SATELLITE,
     GROUP_OF_SYSTEM,
     HEADER_BITS,
-    INVALID_RATE_MPS,
     INVALID_ROUGH_MS,
     MASK_SATELLITES,
     MAX_CELLS,
     MILLISECOND_M,
+    NO_EXTENDED,
     RATE_SCALE_MPS,
     SIGNAL_OF_BIT,
+    WIDTHS,
+    Widths,
     lock_time_s,
 )
 from rtkmesh.codecs.rtcm3_station import bias_payload, descriptor_payload, position_payload
@@ -38,7 +38,6 @@ from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s
 
 MAX_PAYLOAD: Final = 1023
 
-_NO_CHANNEL_INFO: Final = 15  # DF419
 _WIDEST_M: Final = 290.0  # pseudoranges of one satellite that fit around their middle
 _WIDEST_MPS: Final = 2.0
 _LEVEL_LIMIT_M: Final = 900.0  # phases are levelled again when they drift further than this from their pseudoranges
@@ -135,133 +134,101 @@ def _msm_payload(epoch: Epoch, rows: NDArray[np.intp], station_id: int, msm: int
     bits, signal_index = np.unique(_BIT_OF_SIGNAL[system, epoch.signal[rows]], return_inverse=True)
     order = np.lexsort((signal_index, satellite_index))  # bits of a system are not in the order of RINEX codes
     rows, satellite_index, signal_index = rows[order], satellite_index[order], signal_index[order]
-    head = (10 * GROUP_OF_SYSTEM[system] + msm) << 52 | station_id << 40 | epoch_tag(system, epoch.time) << 10 | int(more) << 9
-    widths = FIELD_BITS[msm - 4]
-    extra = 36 if msm in (5, 7) else 18
-    total = HEADER_BITS + len(satellites) * len(bits) + len(satellites) * extra + len(rows) * int(widths.sum())
+    widths, (satellite_fields, signal_fields) = WIDTHS[msm], _fields(epoch.take(rows), satellite_index, WIDTHS[msm])
+    numbers = satellites % SATELLITES_PER_SYSTEM - FIRST_SATELLITE[system]
+    cells = len(satellites) * len(bits)
+    header = (10 * GROUP_OF_SYSTEM[system] + msm) << 157 | station_id << 145 | epoch_tag(system, epoch.time) << 115 | int(more) << 114
+    header |= sum(1 << (96 - number) for number in numbers.tolist()) | sum(1 << (32 - bit) for bit in bits.tolist())
+    header = header << cells | sum(1 << (cells - 1 - cell) for cell in (satellite_index * len(bits) + signal_index).tolist())
+    position = HEADER_BITS + cells
+    total = position + len(satellites) * int(widths.satellite.sum()) + len(rows) * int(widths.signal.sum())
     buffer = np.zeros((total + 7) // 8, np.uint8)
-    buffer[:8] = np.frombuffer(head.to_bytes(8, "big"), np.uint8)
-    locks = _LOCK_4 if widths[2] == 4 else _LOCK_10
-    lock_s = np.where((epoch.flags[rows] & SLIP != 0) & ~(epoch.lock_s[rows] > 0.0), 0.0, epoch.lock_s[rows])
-    lock = np.searchsorted(locks, np.nan_to_num(lock_s) + 1e-9, side="right") - 1
-    columns = np.stack((epoch.pseudorange_m[rows], epoch.phase_cyc[rows], epoch.doppler_hz[rows], epoch.cn0_dbhz[rows]))
-    write_cells(
-        buffer, satellites % SATELLITES_PER_SYSTEM - FIRST_SATELLITE[system], bits, satellite_index, signal_index, epoch.satellite[rows],
-        epoch.signal[rows], epoch.channel[rows], epoch.flags[rows] & HALF_CYCLE != 0, lock,
-        columns, widths, FIELD_SCALES[msm - 4],
-    )  # fmt: skip
+    head = (header << -position % 8).to_bytes((position + 7) // 8, "big")
+    buffer[: len(head)] = np.frombuffer(head, np.uint8)
+    position = write_columns(buffer, position, widths.satellite, satellite_fields)
+    write_columns(buffer, position, widths.signal, signal_fields)
     return buffer.tobytes()
 
 
-@kernel
-def put_bits(buffer: NDArray[np.uint8], position: int, length: int, value: int) -> None:
-    """Write the lowest ``length`` (1 to 56) bits of ``value`` at bit ``position`` of a zeroed buffer."""
-    last = position + length - 1
-    bits = (value & ((1 << length) - 1)) << (7 - (last & 7))
-    for i in range(last >> 3, (position >> 3) - 1, -1):
-        buffer[i] |= np.uint8(bits & 0xFF)
-        bits >>= 8
+def _fields(epoch: Epoch, satellite_index: NDArray[np.intp], widths: Widths) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the satellite fields (4, satellites) and signal fields (6, cells) as numbers of their resolution steps.
 
-
-@kernel
-def _put_fine(buffer: NDArray[np.uint8], position: int, length: int, value: float) -> None:
-    """Write a number of resolution steps as a signed field, its most negative value if it is NaN or does not fit."""
-    limit = 1 << (length - 1)
-    if not abs(value) < limit - 0.5:  # NaN as well
-        put_bits(buffer, position, length, -limit)
-    else:
-        put_bits(buffer, position, length, int(np.rint(value)))
-
-
-@kernel
-def _middle(values: NDArray[np.float64], index: NDArray[np.int64], which: int, widest: float) -> float:
-    """Return the middle of the finite values with ``index == which``, the first of them if they lie further apart than ``widest``."""
-    low, high, first = np.inf, -np.inf, np.nan
-    for j in range(len(index)):
-        if index[j] == which and np.isfinite(values[j]):
-            first = values[j] if np.isnan(first) else first
-            low, high = min(low, values[j]), max(high, values[j])
-    return (low + high) / 2.0 if high - low <= widest else first
-
-
-@kernel
-def _rough(
-    ranges_m: NDArray[np.float64], phase_ranges_m: NDArray[np.float64], rates_mps: NDArray[np.float64], index: NDArray[np.int64],
-    out: NDArray[np.float64],
-) -> None:  # fmt: skip
-    """Write to ``out`` (2, satellites) the rough range (ms) and rate (m/s) of each satellite; NaN where nothing is known or fits."""
-    for i in range(out.shape[1]):
-        middle_m = _middle(ranges_m, index, i, _WIDEST_M)
-        if np.isnan(middle_m):
-            middle_m = _middle(phase_ranges_m, index, i, _WIDEST_M)
-        rough_ms = np.rint(middle_m / MILLISECOND_M * 1024.0) / 1024.0
-        out[0, i] = rough_ms if 0.0 <= rough_ms < INVALID_ROUGH_MS else np.nan
-        rate_mps = np.rint(_middle(rates_mps, index, i, _WIDEST_MPS))
-        out[1, i] = rate_mps if abs(rate_mps) < -INVALID_RATE_MPS else np.nan
-
-
-@kernel
-def _write_satellites(
-    buffer: NDArray[np.uint8], position: int, rough: NDArray[np.float64], extended: NDArray[np.int64], with_rate: bool
-) -> int:
-    """Write the satellite data at bit ``position``; return the position behind."""
-    count = rough.shape[1]
-    fraction = position + (12 if with_rate else 8) * count
-    for i in range(count):
-        steps = INVALID_ROUGH_MS * 1024 if np.isnan(rough[0, i]) else int(rough[0, i] * 1024.0)
-        put_bits(buffer, position + 8 * i, 8, steps >> 10)
-        put_bits(buffer, fraction + 10 * i, 10, steps & 1023)
-        if with_rate:
-            put_bits(buffer, position + 8 * count + 4 * i, 4, extended[i])
-            rate = INVALID_RATE_MPS if np.isnan(rough[1, i]) else int(rough[1, i])
-            put_bits(buffer, fraction + 10 * count + 14 * i, 14, rate)
-    return fraction + (24 if with_rate else 10) * count
-
-
-@kernel
-def write_cells(
-    buffer: NDArray[np.uint8], numbers: NDArray[np.int16], bits: NDArray[np.int64], satellite_index: NDArray[np.int64],
-    signal_index: NDArray[np.int64], satellites: NDArray[np.int16], signals: NDArray[np.int16], channels: NDArray[np.int8],
-    half_cycle: NDArray[np.bool_], lock: NDArray[np.int64], values: NDArray[np.float64], widths: NDArray[np.int64],
-    scales: NDArray[np.float64],
-) -> None:  # fmt: skip
-    """Write masks, satellite data and signal data of one MSM behind its header into a zeroed buffer.
-
-    ``numbers`` and ``bits`` are the set bits of DF394 and DF395; cells are sorted by (satellite, bit), ``satellite_index`` and
-    ``signal_index`` say where each belongs; ``values`` rows: pseudorange (m), phase (cycles), Doppler (Hz), C/N0 (dB-Hz).
+    The rough range is the middle of a satellite's pseudoranges (phase ranges, if there are none), so that all its fine values fit.
     """
-    n_sat, n_sig, n_cell = len(numbers), len(bits), len(satellites)
-    phase_ranges_m, rates_mps = np.empty(n_cell), np.empty(n_cell)
-    extended, rough = np.zeros(n_sat, np.int64), np.empty((2, n_sat))
-    for i in range(n_cell):
-        carrier = carrier_hz(satellites[i], signals[i], channels[i])
-        wavelength_m = SPEED_OF_LIGHT_MPS / carrier if carrier > 0.0 else np.nan
-        phase_ranges_m[i], rates_mps[i] = values[1, i] * wavelength_m, -values[2, i] * wavelength_m
-        if satellites[i] // SATELLITES_PER_SYSTEM == GLONASS:
-            extended[satellite_index[i]] = channels[i] + 7 if -7 <= channels[i] <= 6 else _NO_CHANNEL_INFO
-    _rough(values[0], phase_ranges_m, rates_mps, satellite_index, rough)
-    for i in range(n_sat):
-        put_bits(buffer, 73 + numbers[i] - 1, 1, 1)
-    for i in range(n_sig):
-        put_bits(buffer, 137 + bits[i] - 1, 1, 1)
-    for i in range(n_cell):
-        put_bits(buffer, HEADER_BITS + satellite_index[i] * n_sig + signal_index[i], 1, 1)
-    at = _write_satellites(buffer, HEADER_BITS + n_sat * n_sig, rough, extended, widths[5] > 0)
-    for i in range(n_cell):
-        rough_ms, p = rough[0, satellite_index[i]], at
-        _put_fine(buffer, p + i * widths[0], widths[0], (values[0, i] / MILLISECOND_M - rough_ms) / scales[0])
-        p += n_cell * widths[0]
-        _put_fine(buffer, p + i * widths[1], widths[1], (phase_ranges_m[i] / MILLISECOND_M - rough_ms) / scales[1])
-        p += n_cell * widths[1]
-        put_bits(buffer, p + i * widths[2], widths[2], lock[i])
-        p += n_cell * widths[2]
-        put_bits(buffer, p + i, 1, half_cycle[i])
-        p += n_cell
-        cn0 = np.rint(values[3, i] / scales[2]) if values[3, i] > 0.0 else 0.0
-        put_bits(buffer, p + i * widths[4], widths[4], int(min(cn0, (1 << widths[4]) - 1)))
-        p += n_cell * widths[4]
-        if widths[5]:
-            _put_fine(buffer, p + i * widths[5], widths[5], (rates_mps[i] - rough[1, satellite_index[i]]) / RATE_SCALE_MPS)
+    carrier = carriers_hz(epoch.satellite, epoch.signal, epoch.channel)
+    wavelength_m = np.where(carrier > 0.0, SPEED_OF_LIGHT_MPS / np.where(carrier > 0.0, carrier, 1.0), np.nan)
+    known = (_finite(epoch.pseudorange_m), _finite(epoch.phase_cyc * wavelength_m), _finite(-epoch.doppler_hz * wavelength_m))
+    range_m, phase_m, rate_mps = known
+    first = np.flatnonzero(np.diff(satellite_index, prepend=-1))
+    middle_m = _middle(range_m, first, _WIDEST_M)
+    middle_m = np.where(np.isnan(middle_m), _middle(phase_m, first, _WIDEST_M), middle_m)
+    rough = np.rint(middle_m / MILLISECOND_M * 1024.0)
+    rough = np.where((rough >= 0.0) & (rough < INVALID_ROUGH_MS * 1024), rough, np.nan)
+    rough_rate = np.rint(_middle(rate_mps, first, _WIDEST_MPS))
+    rough_steps = np.where(np.isnan(rough), INVALID_ROUGH_MS * 1024, rough).astype(np.int64)
+    channel = np.where((epoch.channel >= -7) & (epoch.channel <= 6), epoch.channel.astype(np.int64) + 7, NO_EXTENDED)[first]
+    extended = np.where(epoch.satellite[first] // SATELLITES_PER_SYSTEM == GLONASS, channel, 0)
+    fine_ms, fine_rate = rough[satellite_index] / 1024.0, rough_rate[satellite_index]
+    satellites = np.stack((rough_steps >> 10, extended, rough_steps & 1023, _steps(rough_rate, 14)))
+    signals = np.stack((
+        _steps((range_m / MILLISECOND_M - fine_ms) / widths.scales[0], int(widths.signal[0])),
+        _steps((phase_m / MILLISECOND_M - fine_ms) / widths.scales[1], int(widths.signal[1])),
+        _lock_indicators(epoch, widths),
+        (epoch.flags & HALF_CYCLE != 0).astype(np.int64),
+        np.clip(np.rint(_finite(epoch.cn0_dbhz, 0.0) / widths.scales[2]), 0, (1 << int(widths.signal[4])) - 1).astype(np.int64),
+        _steps((rate_mps - fine_rate) / RATE_SCALE_MPS, 15),
+    ))  # fmt: skip
+    return satellites, signals
+
+
+def _finite(values: NDArray[np.float64], otherwise: float = np.nan) -> NDArray[np.float64]:
+    return np.where(np.isfinite(values), values, otherwise)
+
+
+def _middle(values: NDArray[np.float64], first: NDArray[np.intp], widest: float) -> NDArray[np.float64]:
+    """Return the middle of each group's values (groups begin at ``first``), its lowest if they lie further apart than ``widest``."""
+    low, high = np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)
+    return np.where(high - low <= widest, (low + high) / 2.0, low)
+
+
+def _steps(values: NDArray[np.float64], width: int) -> NDArray[np.int64]:
+    """Return numbers of resolution steps rounded for a signed field: its most negative value where they are NaN or do not fit."""
+    limit = float(1 << (width - 1))
+    steps = np.rint(values)
+    return np.where(np.abs(steps) < limit, steps, -limit).astype(np.int64)
+
+
+def _lock_indicators(epoch: Epoch, widths: Widths) -> NDArray[np.int64]:
+    """Return DF402 or DF407: the longest time that is not longer than the lock; 0 where it is not known."""
+    table = _LOCK_4 if widths.signal[2] == 4 else _LOCK_10
+    return np.searchsorted(table, _finite(epoch.lock_s, 0.0) + 1e-9, side="right").astype(np.int64) - 1
+
+
+@kernel
+def carriers_hz(satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: NDArray[np.int8]) -> NDArray[np.float64]:
+    """Return the carrier frequency (Hz) of each row, 0.0 where it is not known."""
+    out = np.empty(len(satellite))
+    for i in range(len(satellite)):
+        out[i] = carrier_hz(satellite[i], signal[i], channel[i])
+    return out
+
+
+@kernel
+def write_columns(buffer: NDArray[np.uint8], position: int, widths: NDArray[np.int64], raw: NDArray[np.int64]) -> int:
+    """Write fields that follow one another, each for all columns of ``raw``, into a zeroed buffer; return the position behind.
+
+    Of each number the lowest bits are written (two's complement); the widths are at most 56.
+    """
+    for field in range(len(widths)):
+        width = widths[field]
+        for i in range(raw.shape[1]):
+            last = position + width - 1
+            bits = (raw[field, i] & ((1 << width) - 1)) << (7 - (last & 7))
+            for k in range(last >> 3, (position >> 3) - 1, -1):
+                buffer[k] |= np.uint8(bits & 0xFF)
+                bits >>= 8
+            position += width
+    return position
 
 
 class PhaseLeveller:
@@ -273,7 +240,7 @@ class PhaseLeveller:
     def level(self, epoch: Epoch) -> Epoch:
         """Return the epoch with shifted phases; where the shift had to change, lock time is 0 and SLIP is set."""
         index = epoch.satellite.astype(np.intp), epoch.signal.astype(np.intp)
-        carrier = np.array([carrier_hz(s, g, c) for s, g, c in zip(epoch.satellite, epoch.signal, epoch.channel, strict=True)])
+        carrier = carriers_hz(epoch.satellite, epoch.signal, epoch.channel)
         with np.errstate(divide="ignore", invalid="ignore"):
             gap_cyc = epoch.phase_cyc - epoch.pseudorange_m * carrier / SPEED_OF_LIGHT_MPS
             before = self._shift_cyc[index]

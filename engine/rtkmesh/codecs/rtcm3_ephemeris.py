@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from math import ldexp
 from typing import Final
 
-from rtkmesh.codecs.accuracy import GLONASS_FT_M, SISA_M, URA_M, accuracy_index, accuracy_m
+from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, SISA_M, URA_M, Table, accuracy_index, accuracy_m
 from rtkmesh.codecs.bits import Coding, Field, Layout
 from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, QZSS_FIT_S, gps_fit_s
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, PI_GPS, SECONDS_PER_DAY, SECONDS_PER_WEEK
@@ -25,6 +25,8 @@ ERA: Final = GpsTime(2560, 0.0)
 _NO_SISA: Final = 255
 _FIRST_PERIOD: Final = 5  # N4 of 2012 to 2015: earlier ones are junk
 _SURE_S: Final = 2.0 * SECONDS_PER_DAY
+_LAG_S: Final = 60.0  # the clock is that of the last epoch
+_BESIDE_MIDNIGHT_S: Final = 3600.0
 _SHIFT_WINDOW_S: Final = SECONDS_PER_DAY / 2.0  # toe is at most some hours from the transmission
 _U, _S, _M = Coding.UNSIGNED, Coding.TWOS_COMPLEMENT, Coding.SIGN_MAGNITUDE
 
@@ -197,11 +199,12 @@ def _kepler(
 
 
 def _near_end_of_week(toe: GpsTime, clock: GpsTime | None) -> GpsTime:
-    """Return toe in the next or last week if that brings it within hours of the clock, which it was not."""
+    """Return toe in the next or last week if that brings it within hours of a clock on the other side of the week's end."""
     if clock is None:
         return toe
     near = nearest_week(toe.tow_s, clock)
-    return near if abs(near - clock) < _SHIFT_WINDOW_S and abs(near.week - toe.week) == 1 else toe
+    other_side = near.week != clock.week or near.week != (clock + _LAG_S).week
+    return near if other_side and abs(near - clock) < _SHIFT_WINDOW_S and abs(near.week - toe.week) == 1 else toe
 
 
 def _transmitted(toe: GpsTime, clock: GpsTime | None) -> GpsTime:
@@ -254,9 +257,10 @@ def _sent_date(time_of_day_s: float, v: Mapping[str, float], n4: int) -> GpsTime
 
 
 def _near_midnight(sent: GpsTime, clock: GpsTime) -> GpsTime:
-    """Return the sent instant, on the neighbouring day if that is within hours of the clock, which it was not."""
+    """Return the sent instant, moved by a day if that brings it, beside a midnight of Moscow, within an hour of the clock."""
     near = _near_time_of_day(sent.tow_s, clock)
-    return near if abs(near - clock) < SECONDS_PER_DAY / 4.0 else sent
+    moscow = near.to_utc() + timedelta(hours=3)
+    return near if abs(near - clock) < _BESIDE_MIDNIGHT_S and moscow.hour in (0, 23) else sent
 
 
 def _near_time_of_day(tow_s: float, near: GpsTime) -> GpsTime:
@@ -283,6 +287,10 @@ def ephemeris_payload(ephemeris: Ephemeris) -> bytes:
     return (layout.write({"number": float(number), **values}) << fill).to_bytes((layout.bits + fill) // 8, "big")
 
 
+def _index(table: Table, sigma_m: float) -> int:
+    return len(table) if sigma_m == NO_ACCURACY_M else accuracy_index(table, sigma_m)
+
+
 def _kepler_values(e: KeplerEphemeris) -> tuple[int, dict[str, float]]:
     number = _number_of(e)
     shift_s = -BDT_MINUS_GPST_S if number == 1042 else 0.0
@@ -292,15 +300,15 @@ def _kepler_values(e: KeplerEphemeris) -> tuple[int, dict[str, float]]:
     match number:
         case 1042:
             values |= {"week": (toe.week - BDT_WEEK_OFFSET) % 8192, "health": min(e.health, 1)}
-            values |= {"tgd1_s": e.group_delay_s[0], "tgd2_s": e.group_delay_s[1], "accuracy": accuracy_index(URA_M, e.accuracy_m)}
+            values |= {"tgd1_s": e.group_delay_s[0], "tgd2_s": e.group_delay_s[1], "accuracy": _index(URA_M, e.accuracy_m)}
         case 1045 | 1046:
             values |= {"week": (toe.week - GST_WEEK_OFFSET) % 4096, "bgd_e5a_s": e.group_delay_s[0], "bgd_e5b_s": e.group_delay_s[1]}
-            index = accuracy_index(SISA_M, e.accuracy_m)
+            index = _index(SISA_M, e.accuracy_m)
             values |= {"accuracy": index if index < len(SISA_M) else _NO_SISA}
             values |= {"health_e5a": e.health >> 4 & 3, "invalid_e5a": e.health >> 3 & 1, "health_e5b": e.health >> 7 & 3}
             values |= {"invalid_e5b": e.health >> 6 & 1, "health_e1b": e.health >> 1 & 3, "invalid_e1b": e.health & 1}
         case _:
-            values |= {"week": toe.week % 1024, "tgd_s": e.group_delay_s[0], "accuracy": accuracy_index(URA_M, e.accuracy_m)}
+            values |= {"week": toe.week % 1024, "tgd_s": e.group_delay_s[0], "accuracy": _index(URA_M, e.accuracy_m)}
             values |= {"fit": int(e.fit_s > GPS_FIT_S)}
     return number, values
 
@@ -324,7 +332,7 @@ def _glonass_values(e: GlonassEphemeris) -> tuple[int, dict[str, float]]:
         "slot": e.satellite % SATELLITES_PER_SYSTEM, "channel": e.channel + 7, "almanac_health": 1, "almanac_health_available": 1,
         "tk_hours": sent.hour, "tk_minutes": sent.minute, "tk_half_minutes": sent.second // 30,
         "bn_msb": e.health & 1, "ln_3": e.health >> 1 & 1, "tb_s": (moscow - midnight).total_seconds(), "gamma": e.gamma,
-        "tau_n_s": -e.tau_s, "delta_tau_n_s": e.group_delay_s, "age_days": e.age_days, "ft": accuracy_index(GLONASS_FT_M, e.accuracy_m),
+        "tau_n_s": -e.tau_s, "delta_tau_n_s": e.group_delay_s, "age_days": e.age_days, "ft": _index(GLONASS_FT_M, e.accuracy_m),
         "m": 1, "n4": period + 1, "nt_days": (midnight - datetime(1996 + 4 * period, 1, 1, tzinfo=UTC)).days + 1,
     }  # fmt: skip
     for k, axis in enumerate("xyz"):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.codecs.bits import signed_bits, unsigned_bits
+from rtkmesh.codecs.bits import unsigned_bits
 from rtkmesh.codecs.rtcm3_msm import LEGACY_PRIORITY, MILLISECOND_M, NO_DAY, Observations
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.signals import GLONASS, GPS, MAX_SATELLITE, NO_CHANNEL, SATELLITES_PER_SYSTEM, SBAS, carrier_hz, signal_number
@@ -33,6 +33,17 @@ def _signals(first: str, second: str) -> list[int]:
 
 # [system][L1 code 0, 1, L2 code 0..3] (DF010, DF016, DF039, DF046); GPS L2 code 0 is 'C/A or L2C', codes 2 and 3 are P(Y) semi-codeless.
 _SIGNALS: Final = np.array([_signals("1C 1P", "2X 2P 2D 2W"), _signals("1C 1P", "2C 2P 2P 2P")], dtype=np.int16)
+
+
+# Fields of a satellite: number, L1 code, channel, pseudorange, phase difference, lock, modulus, C/N0; L2: code, pseudorange and phase
+# differences, lock, C/N0. 0 where the message has not got the field.
+_GPS_L1, _GLONASS_L1, _L2, _NO_L2 = [6, 1, 0, 24, 20, 7, 8, 8], [6, 1, 5, 25, 20, 7, 7, 8], [2, 14, 20, 7, 8], [0] * 5
+_WIDTHS: Final = {
+    1002: np.array(_GPS_L1 + _NO_L2, np.int64),
+    1004: np.array(_GPS_L1 + _L2, np.int64),
+    1010: np.array(_GLONASS_L1 + _NO_L2, np.int64),
+    1012: np.array(_GLONASS_L1 + _L2, np.int64),
+}
 
 
 @kernel
@@ -65,11 +76,16 @@ def _unrolled_cyc(gap_cyc: float, last_cyc: NDArray[np.float64], satellite: int,
 
 
 @kernel
+def _signed(code: int, width: int) -> int:
+    return code - (1 << width) if code >> (width - 1) else code
+
+
+@kernel
 def _put_row(
     cells: NDArray[np.int16], values: NDArray[np.float64], row: int, satellite: int, signal: int, channel: int,
     code_m: float, l1_code_m: float, phase: int, lock: int, cn0: int, last_cyc: NDArray[np.float64],
 ) -> None:  # fmt: skip
-    """Write one row; ``phase`` is the raw difference of the phase range from the L1 pseudorange."""
+    """Write one row; ``phase`` is the difference of the phase range from the L1 pseudorange in steps of 0.5 mm."""
     cycles_per_m = carrier_hz(satellite, signal, channel) / SPEED_OF_LIGHT_MPS
     cells[0, row], cells[1, row], cells[2, row], cells[3, row] = satellite, signal, channel, 0
     values[0, row] = code_m
@@ -83,62 +99,43 @@ def _put_row(
 
 
 @kernel
-def _put_l2(
-    payload: NDArray[np.uint8], at: int, signals: NDArray[np.int16], satellite: int, channel: int, l1_code_m: float,
-    cells: NDArray[np.int16], values: NDArray[np.float64], row: int, last_cyc: NDArray[np.float64],
-) -> int:  # fmt: skip
-    """Write the L2 part at bit ``at`` to row ``row``; return the number of rows written."""
-    signal, difference, phase = (
-        signals[2 + unsigned_bits(payload, at, 2)],
-        signed_bits(payload, at + 2, 14),
-        signed_bits(payload, at + 16, 20),
-    )
-    if difference == _INVALID_DIFFERENCE and phase == _INVALID_PHASE:
-        return 0
-    code_m = np.nan if difference == _INVALID_DIFFERENCE else l1_code_m + difference * _CODE_SCALE_M
-    lock, cn0 = unsigned_bits(payload, at + 36, 7), unsigned_bits(payload, at + 43, 8)
-    _put_row(cells, values, row, satellite, signal, channel, code_m, l1_code_m, phase, lock, cn0, last_cyc)
-    return 1
-
-
-@kernel
 def decode_rows(
-    payload: NDArray[np.uint8], glonass: bool, with_l2: bool, signals: NDArray[np.int16], channels: NDArray[np.int8],
+    payload: NDArray[np.uint8], glonass: bool, widths: NDArray[np.int64], signals: NDArray[np.int16], channels: NDArray[np.int8],
     last_cyc: NDArray[np.float64], cells: NDArray[np.int16], values: NDArray[np.float64],
 ) -> int:  # fmt: skip
     """Decode 1002/1004/1010/1012 into ``cells`` (4, 64) and ``values`` (5, 64); return the rows, -1 if the payload is too short.
 
-    Learns the GLONASS ``channels`` by slot; ``last_cyc`` (satellite, band) is the memory for undoing rolls.
+    ``widths`` are those of _WIDTHS. Learns the GLONASS ``channels`` by slot; ``last_cyc`` (satellite, band) is the memory for undoing
+    rolls.
     """
-    head = 61 if glonass else 64
+    head, modulus_m = (61, 2.0 * MILLISECOND_M) if glonass else (64, MILLISECOND_M)
+    size = 0
+    for width in widths:
+        size += width
     if 8 * len(payload) < head:
         return -1
     count = unsigned_bits(payload, head - 9, 5)
-    code_bits, modulus_bits, modulus_m = (25, 7, 2.0 * MILLISECOND_M) if glonass else (24, 8, MILLISECOND_M)
-    l1_bits = 79 if glonass else 74
-    size = l1_bits + (51 if with_l2 else 0)
     if 8 * len(payload) < head + count * size:
         return -1
-    rows = 0
-    for i in range(count):
-        start = head + i * size
-        number, l1_code, channel = unsigned_bits(payload, start, 6), unsigned_bits(payload, start + 6, 1), NO_CHANNEL
-        if glonass:
-            channel = unsigned_bits(payload, start + 7, 5) - 7
-        satellite = satellite_of(number, glonass)
+    rows, at, f = 0, head, np.empty(13, np.int64)
+    for _ in range(count):
+        for k in range(13):
+            f[k] = unsigned_bits(payload, at, widths[k])
+            at += widths[k]
+        satellite = satellite_of(f[0], glonass)
+        channel = f[2] - 7 if glonass else NO_CHANNEL
         if satellite < 0 or (glonass and channel > 13):
             continue
-        at = start + (12 if glonass else 7)
-        phase, lock = signed_bits(payload, at + code_bits, 20), unsigned_bits(payload, at + code_bits + 20, 7)
+        phase, code_m = _signed(f[4], 20), f[3] * _CODE_SCALE_M + f[6] * modulus_m
         if glonass and phase != _INVALID_PHASE:  # without phases some receivers leave the channel at zero
-            channels[number] = channel
-        modulus = unsigned_bits(payload, at + code_bits + 27, modulus_bits)
-        code_m = unsigned_bits(payload, at, code_bits) * _CODE_SCALE_M + modulus * modulus_m
-        cn0 = unsigned_bits(payload, start + l1_bits - 8, 8)
-        _put_row(cells, values, rows, satellite, signals[l1_code], channel, code_m, code_m, phase, lock, cn0, last_cyc)
+            channels[f[0]] = channel
+        _put_row(cells, values, rows, satellite, int(signals[f[1]]), channel, code_m, code_m, phase, f[5], f[7], last_cyc)
         rows += 1
-        if with_l2:
-            rows += _put_l2(payload, start + l1_bits, signals, satellite, channel, code_m, cells, values, rows, last_cyc)
+        difference, phase = _signed(f[9], 14), _signed(f[10], 20)
+        if widths[8] and not (difference == _INVALID_DIFFERENCE and phase == _INVALID_PHASE):
+            l2_m = np.nan if difference == _INVALID_DIFFERENCE else code_m + difference * _CODE_SCALE_M
+            _put_row(cells, values, rows, satellite, int(signals[2 + f[8]]), channel, l2_m, code_m, phase, f[11], f[12], last_cyc)
+            rows += 1
     return rows
 
 
@@ -153,7 +150,7 @@ class LegacyDecoder:
         """Return the observations of a message, None if it is too short for what it announces."""
         glonass = number in (1010, 1012)
         cells, values = np.empty((4, _MAX_ROWS), np.int16), np.empty((5, _MAX_ROWS))
-        rows = decode_rows(payload, glonass, number in (1004, 1012), _SIGNALS[int(glonass)], self._channels, self._last_cyc, cells, values)
+        rows = decode_rows(payload, glonass, _WIDTHS[number], _SIGNALS[int(glonass)], self._channels, self._last_cyc, cells, values)
         if rows < 0:
             return None
         head, tag_bits = int.from_bytes(payload[:8].tobytes(), "big"), 27 if glonass else 30

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.codecs.bits import signed_bits, unsigned_bits
+from rtkmesh.codecs.bits import unsigned_bits
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE
 from rtkmesh.gnss.signals import (
@@ -64,16 +64,29 @@ def _signal_table() -> NDArray[np.int16]:
 
 SIGNAL_OF_BIT: Final = _signal_table()  # [system, DF395 bit 1..32] -> signal number, -1 reserved
 
-# Widths of the signal fields by type (rows 4..7): fine pseudorange, fine phase range, lock time, half cycle, C/N0, fine rate.
-FIELD_BITS: Final = np.array([[15, 22, 4, 1, 6, 0], [15, 22, 4, 1, 6, 15], [20, 24, 10, 1, 10, 0], [20, 24, 10, 1, 10, 15]], dtype=np.int64)
-# Resolutions by type: fine pseudorange (ms), fine phase range (ms), C/N0 (dB-Hz).
-FIELD_SCALES: Final = np.array(
-    [[2.0**-24, 2.0**-29, 1.0], [2.0**-24, 2.0**-29, 1.0], [2.0**-29, 2.0**-31, 2.0**-4], [2.0**-29, 2.0**-31, 2.0**-4]]
-)
-_FIELDS: Final = {level: (FIELD_BITS[level - 4], FIELD_SCALES[level - 4]) for level in (4, 5, 6, 7)}
+
+class Widths(NamedTuple):
+    """Bits of the fields of a message type, in their order; 0 where the type has not got a field. Resolutions with them."""
+
+    satellite: NDArray[np.int64]  # DF397 whole ms, extended information, DF398 1/1024 ms, DF399 m/s
+    signal: NDArray[np.int64]  # fine pseudorange, fine phase range, lock time, half cycle, C/N0, fine rate
+    scales: NDArray[np.float64]  # of fine pseudorange (ms), fine phase range (ms), C/N0 (dB-Hz)
+
+
+def _widths(satellite: list[int], signal: list[int], scales: list[float]) -> Widths:
+    return Widths(np.array(satellite, np.int64), np.array(signal, np.int64), np.array(scales))
+
+
+WIDTHS: Final = {
+    4: _widths([8, 0, 10, 0], [15, 22, 4, 1, 6, 0], [2.0**-24, 2.0**-29, 1.0]),
+    5: _widths([8, 4, 10, 14], [15, 22, 4, 1, 6, 15], [2.0**-24, 2.0**-29, 1.0]),
+    6: _widths([8, 0, 10, 0], [20, 24, 10, 1, 10, 0], [2.0**-29, 2.0**-31, 2.0**-4]),
+    7: _widths([8, 4, 10, 14], [20, 24, 10, 1, 10, 15], [2.0**-29, 2.0**-31, 2.0**-4]),
+}  # by type (tables 3.5-80 to 3.5-90)
 _SIGNAL_ROWS: Final = tuple(SIGNAL_OF_BIT)
 RATE_SCALE_MPS: Final = 1e-4  # DF404
 INVALID_RATE_MPS: Final = -8192  # DF399
+NO_EXTENDED: Final = 15  # DF419: channel not known
 
 OK, TOO_SHORT, TOO_MANY_CELLS = 0, 1, 2
 REASONS: Final = ("", "too short", "more than 64 cells")
@@ -117,72 +130,54 @@ def lock_time_s(indicator: int, extended: bool) -> float:
 
 
 @kernel
-def _cell_count(payload: NDArray[np.uint8], satellites: int, signals: int) -> int:
-    count = 0
-    for i in range(satellites * signals):
-        count += unsigned_bits(payload, HEADER_BITS + i, 1)
-    return count
-
-
-@kernel
-def _mask(payload: NDArray[np.uint8], position: int, length: int, bits: NDArray[np.int64]) -> int:
-    """Write the numbers (from 1) of the set bits to ``bits`` and return how many there are."""
+def _set_bits(payload: NDArray[np.uint8], position: int, length: int, numbers: NDArray[np.int64]) -> int:
+    """Write the numbers (from 0) of the set bits of a mask to ``numbers`` and return how many there are."""
     count = 0
     for i in range(length):
         if payload[(position + i) >> 3] & (0x80 >> ((position + i) & 7)):
-            bits[count] = i + 1
+            numbers[count] = i
             count += 1
     return count
 
 
 @kernel
-def _satellite_data(
-    payload: NDArray[np.uint8], position: int, count: int, with_rate: bool, rough: NDArray[np.float64], extended: NDArray[np.int64]
-) -> int:
-    """Read rough ranges (ms, row 0) and rates (m/s, row 1) and the extended information; return the position behind."""
-    fraction = position + (12 if with_rate else 8) * count
-    rate = fraction + 10 * count
-    for i in range(count):
-        whole = unsigned_bits(payload, position + 8 * i, 8)
-        rough[0, i] = np.nan if whole == INVALID_ROUGH_MS else whole + unsigned_bits(payload, fraction + 10 * i, 10) / 1024.0
-        rough[1, i] = np.nan
-        extended[i] = 15
-        if with_rate:
-            extended[i] = unsigned_bits(payload, position + 8 * count + 4 * i, 4)
-            coarse = signed_bits(payload, rate + 14 * i, 14)
-            rough[1, i] = np.nan if coarse == INVALID_RATE_MPS else float(coarse)
-    return rate + (14 * count if with_rate else 0)
+def _read_columns(payload: NDArray[np.uint8], position: int, widths: NDArray[np.int64], raw: NDArray[np.int64]) -> int:
+    """Read fields that follow one another, each for all columns of ``raw``, as unsigned numbers; return the position behind."""
+    for field in range(len(widths)):
+        for i in range(raw.shape[1]):
+            raw[field, i] = unsigned_bits(payload, position, widths[field])
+            position += widths[field]
+    return position
 
 
 @kernel
-def _fine(payload: NDArray[np.uint8], position: int, length: int, scale: float) -> float:
-    """Return a signed field times ``scale``; NaN for its most negative value, which means 'invalid'."""
-    value = signed_bits(payload, position, length)
-    return np.nan if value == -(1 << (length - 1)) else value * scale
+def _total(widths: NDArray[np.int64]) -> int:
+    total = 0
+    for width in widths:
+        total += width
+    return total
 
 
 @kernel
-def _read_cell(
-    payload: NDArray[np.uint8], position: int, cells: int, index: int, bits: NDArray[np.int64], scales: NDArray[np.float64],
-    rough_ms: float, rough_rate_mps: float, wavelength_m: float, out: NDArray[np.float64], column: int,
-) -> int:  # fmt: skip
-    """Read cell ``index`` of the signal data at ``position`` into ``out[:, column]``; return its half-cycle bit."""
-    at = position
-    out[0, column] = (rough_ms + _fine(payload, at + bits[0] * index, bits[0], scales[0])) * MILLISECOND_M
-    at += bits[0] * cells
-    out[1, column] = (rough_ms + _fine(payload, at + bits[1] * index, bits[1], scales[1])) * MILLISECOND_M / wavelength_m
-    at += bits[1] * cells
-    out[4, column] = lock_time_s(unsigned_bits(payload, at + bits[2] * index, bits[2]), bits[2] == 10)
-    at += bits[2] * cells
-    half_cycle = unsigned_bits(payload, at + index, 1)
-    at += cells
-    cn0 = unsigned_bits(payload, at + bits[4] * index, bits[4])
-    out[3, column] = cn0 * scales[2] if cn0 else np.nan
-    out[2, column] = np.nan
-    if bits[5]:
-        at += bits[4] * cells
-        out[2, column] = -(rough_rate_mps + _fine(payload, at + bits[5] * index, bits[5], RATE_SCALE_MPS)) / wavelength_m
-    return half_cycle
+def _signed(code: int, width: int, scale: float) -> float:
+    """Return a two's complement field times ``scale``; NaN for its most negative value, which means 'invalid', and without field."""
+    if width == 0 or code == 1 << (width - 1):
+        return np.nan
+    return (code - (1 << width) if code >> (width - 1) else code) * scale
+
+
+@kernel
+def _convert(
+    satellite: NDArray[np.int64], signal: NDArray[np.int64], widths: NDArray[np.int64], scales: NDArray[np.float64], wavelength_m: float,
+    out: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Turn the raw fields of a satellite and of one of its cells into a column of ``Observations.values``."""
+    rough_ms = np.nan if satellite[0] == INVALID_ROUGH_MS else satellite[0] + satellite[2] / 1024.0
+    out[0] = (rough_ms + _signed(signal[0], widths[0], scales[0])) * MILLISECOND_M
+    out[1] = (rough_ms + _signed(signal[1], widths[1], scales[1])) * MILLISECOND_M / wavelength_m
+    out[2] = -(_signed(satellite[3], 14, 1.0) + _signed(signal[5], widths[5], RATE_SCALE_MPS)) / wavelength_m
+    out[3] = signal[4] * scales[2] if signal[4] else np.nan
+    out[4] = lock_time_s(signal[2], widths[2] == 10)
 
 
 @kernel
@@ -197,56 +192,48 @@ def _channel(system: int, number: int, extended: int, channels: NDArray[np.int8]
 
 @kernel
 def decode_cells(
-    payload: NDArray[np.uint8], system: int, level: int, signals: NDArray[np.int16], channels: NDArray[np.int8], bits: NDArray[np.int64],
-    scales: NDArray[np.float64], cells: NDArray[np.int16], values: NDArray[np.float64], tally: NDArray[np.int64],
+    payload: NDArray[np.uint8], system: int, signals: NDArray[np.int16], channels: NDArray[np.int8], satellite_widths: NDArray[np.int64],
+    widths: NDArray[np.int64], scales: NDArray[np.float64], cells: NDArray[np.int16], values: NDArray[np.float64], tally: NDArray[np.int64],
 ) -> int:  # fmt: skip
     """Decode the cells of one MSM payload and return a status.
 
-    ``signals`` is the system's row of SIGNAL_OF_BIT, ``channels`` the GLONASS channels by slot (read and learned), ``bits`` and
-    ``scales`` the type's rows of FIELD_BITS and FIELD_SCALES. Out: ``cells`` (4, 64), ``values`` (5, 64) as in Observations and
-    ``tally``: rows written (a cell without any valid value gives none), cells of unknown signal or satellite, cells without phase for
-    want of a GLONASS channel.
+    ``signals`` is the system's row of SIGNAL_OF_BIT, ``channels`` the GLONASS channels by slot (read and learned), then come the type's
+    WIDTHS. Out: ``cells`` (4, 64), ``values`` (5, 64) as in Observations and ``tally``: rows written (a cell without any valid value
+    gives none), cells of unknown signal or satellite, cells without phase for want of a GLONASS channel.
     """
-    satellite_bits, signal_bits = np.empty(64, np.int64), np.empty(32, np.int64)
+    masks = np.empty((3, 64), np.int64)
     if 8 * len(payload) < HEADER_BITS:
         return TOO_SHORT
-    n_sat = _mask(payload, 73, 64, satellite_bits)
-    n_sig = _mask(payload, 137, 32, signal_bits)
+    n_sat, n_sig = _set_bits(payload, 73, 64, masks[0]), _set_bits(payload, 137, 32, masks[1])
     if n_sat * n_sig > MAX_CELLS:
         return TOO_MANY_CELLS
     position = HEADER_BITS + n_sat * n_sig
     if 8 * len(payload) < position:
         return TOO_SHORT
-    n_cell = _cell_count(payload, n_sat, n_sig)
-    with_rate = level == 5 or level == 7
-    if 8 * len(payload) < position + n_sat * (36 if with_rate else 18) + n_cell * np.sum(bits):
+    n_cell = _set_bits(payload, HEADER_BITS, n_sat * n_sig, masks[2])
+    if 8 * len(payload) < position + n_sat * _total(satellite_widths) + n_cell * _total(widths):
         return TOO_SHORT
-    rough, extended = np.empty((2, 64)), np.empty(64, np.int64)
-    position = _satellite_data(payload, position, n_sat, with_rate, rough, extended)
-    tally[:] = 0
-    index, row = 0, 0
-    for i in range(n_sat):
-        number = satellite_bits[i] + FIRST_SATELLITE[system]
-        known = satellite_bits[i] <= MASK_SATELLITES[system]
-        channel = _channel(system, number, extended[i], channels) if known else NO_CHANNEL
-        for j in range(n_sig):
-            if not unsigned_bits(payload, HEADER_BITS + i * n_sig + j, 1):
-                continue
-            signal = int(signals[signal_bits[j]])
-            index += 1
-            if not known or signal < 0:
-                tally[1] += 1
-                continue
-            satellite = system * SATELLITES_PER_SYSTEM + number
-            carrier = carrier_hz(satellite, signal, channel)
-            if carrier == 0.0:
-                tally[2] += 1
-            wavelength_m = SPEED_OF_LIGHT_MPS / carrier if carrier > 0.0 else np.nan
-            half = _read_cell(payload, position, n_cell, index - 1, bits, scales, rough[0, i], rough[1, i], wavelength_m, values, row)
-            cells[0, row], cells[1, row], cells[2, row] = satellite, signal, channel
-            cells[3, row] = HALF_CYCLE if half else 0
-            row += 1 if np.isfinite(values[0, row]) or np.isfinite(values[1, row]) or np.isfinite(values[2, row]) else 0
-    tally[0] = row
+    raw_satellite, raw = np.empty((4, n_sat), np.int64), np.empty((6, n_cell), np.int64)
+    position = _read_columns(payload, position, satellite_widths, raw_satellite)
+    _read_columns(payload, position, widths, raw)
+    row, unknown, phaseless = 0, 0, 0
+    for cell in range(n_cell):
+        i, number = masks[2, cell] // n_sig, masks[0, masks[2, cell] // n_sig] + 1
+        signal = int(signals[masks[1, masks[2, cell] % n_sig] + 1])
+        if number > MASK_SATELLITES[system] or signal < 0:
+            unknown += 1
+            continue
+        number += FIRST_SATELLITE[system]
+        satellite = system * SATELLITES_PER_SYSTEM + number
+        channel = _channel(system, number, raw_satellite[1, i] if satellite_widths[1] else NO_EXTENDED, channels)
+        carrier = carrier_hz(satellite, signal, channel)
+        phaseless += 1 if carrier == 0.0 else 0
+        wavelength_m = SPEED_OF_LIGHT_MPS / carrier if carrier > 0.0 else np.nan
+        _convert(raw_satellite[:, i], raw[:, cell], widths, scales, wavelength_m, values[:, row])
+        cells[0, row], cells[1, row], cells[2, row], cells[3, row] = satellite, signal, channel, HALF_CYCLE if raw[3, cell] else 0
+        if not (np.isnan(values[0, row]) and np.isnan(values[1, row]) and np.isnan(values[2, row])):
+            row += 1
+    tally[0], tally[1], tally[2] = row, unknown, phaseless
     return OK
 
 
@@ -254,8 +241,7 @@ def decode_msm(payload: NDArray[np.uint8], number: int, channels: NDArray[np.int
     """Decode the payload of MSM4 to MSM7 message ``number``; GLONASS ``channels`` (int8 by slot, 64) are read and learned."""
     system, level = SYSTEM_OF_GROUP[number // 10], number % 10
     cells, values, tally = np.empty((4, MAX_CELLS), np.int16), np.empty((5, MAX_CELLS)), np.empty(3, np.int64)
-    bits, scales = _FIELDS[level]
-    status = decode_cells(payload, system, level, _SIGNAL_ROWS[system], channels, bits, scales, cells, values, tally)
+    status = decode_cells(payload, system, _SIGNAL_ROWS[system], channels, *WIDTHS[level], cells, values, tally)
     if status != OK:
         return MsmResult(None, REASONS[status], 0, 0)
     head = int.from_bytes(payload[:8].tobytes(), "big")

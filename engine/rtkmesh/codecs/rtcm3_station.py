@@ -80,10 +80,10 @@ def _decode_position(payload: bytes, number: int, known: ReferenceStation) -> Re
     if len(payload) < size:
         return "too short"
     values = _POSITION.read(int.from_bytes(payload[:19], "big"))
-    position_m = (values["x_m"], values["y_m"], values["z_m"])
+    position_m = (round(values["x_m"], 4), round(values["y_m"], 4), round(values["z_m"], 4))
     if not _MIN_RADIUS_M < sqrt(sum(x * x for x in position_m)) < _MAX_RADIUS_M:
         return "not on earth"
-    height_m = int.from_bytes(payload[19:21], "big") * _HEIGHT_SCALE_M if number == 1006 else known.antenna_height_m
+    height_m = round(int.from_bytes(payload[19:21], "big") * _HEIGHT_SCALE_M, 4) if number == 1006 else known.antenna_height_m
     return replace(known, position_ecef_m=position_m, antenna_height_m=height_m)
 
 
@@ -118,7 +118,7 @@ def _decode_bias(payload: bytes, station_id: int) -> GlonassBias | str:
     for k in range(4):
         if mask & (8 >> k):
             value = int.from_bytes(payload[at : at + 2], "big", signed=True)
-            biases[k] = nan if value == _INVALID_BIAS else value * _BIAS_SCALE_M
+            biases[k] = nan if value == _INVALID_BIAS else round(value * _BIAS_SCALE_M, 2)
             at += 2
     return GlonassBias(station_id, bool(payload[3] >> 7), (biases[0], biases[1], biases[2], biases[3]))
 

@@ -1,10 +1,12 @@
 """One receiver's byte stream to messages: framing, all decoders, and one timeline of epochs.
 
-Epochs leave in rising order of time. A stream may carry the same observations as UBX and as RTCM 3 (a base that logs what it
+Epochs leave in the order in which they came, each once; an epoch that was overtaken on its way by a few seconds is passed on
+late (pairing puts it in its place), older ones are refused. A stream may carry the same observations as UBX and as RTCM 3 (a base that logs what it
 sends): then only one of the two is used, because their time tags differ by milliseconds and their phases by integers and a clock
 term, so that every change from one to the other breaks all ambiguities.
 """
 
+from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -43,9 +45,12 @@ class StreamOptions:
 
 
 _SAME_EPOCH_S: Final = 5e-4  # epochs of one protocol that are closer than this are the same
+_OVERTAKEN_S: Final = 5.0  # an epoch may come after newer ones by this much
+_RECENT: Final = 256  # epochs that are remembered to tell a late one from a repeated one
 _NEW_TIMELINE: Final = 5  # so many rising epochs in the past mean that the clock was set back, not that they are late
 _LEAD_TO_SWITCH: Final = 30  # so many epochs must the other protocol have delivered more before it is taken instead
 _TELL_TIME_S: Final = 3600.0
+_OTHER_SOURCE: Final = "of the other source"
 
 
 class Timeline:
@@ -56,6 +61,7 @@ class Timeline:
         self._chosen = self._fixed
         self._lead = 0  # epochs of other protocols minus epochs of the chosen one
         self._last: GpsTime | None = None
+        self._recent: deque[GpsTime] = deque(maxlen=_RECENT)
         self._past: list[GpsTime] = []
 
     def refusal(self, epoch: Epoch, protocol: Protocol) -> str:
@@ -63,12 +69,18 @@ class Timeline:
         if self._chosen is None:
             self._chosen = protocol
         if protocol is not self._chosen:
-            return "other source"
+            return _OTHER_SOURCE
         if self._last is None or epoch.time - self._last >= _SAME_EPOCH_S:
             self._past.clear()
-        elif not self._clock_was_set_back(epoch.time):
-            return "repeated" if abs(epoch.time - self._last) < _SAME_EPOCH_S else "out of order"
-        self._last = epoch.time
+            self._last = epoch.time
+        elif any(abs(epoch.time - recent) < _SAME_EPOCH_S for recent in self._recent):
+            return "repeated"
+        elif self._last - epoch.time > _OVERTAKEN_S:
+            if not self._clock_was_set_back(epoch.time):
+                return "out of order"
+            self._recent.clear()
+            self._last = epoch.time
+        self._recent.append(epoch.time)
         return ""
 
     def switches(self, protocol: Protocol) -> bool:
@@ -171,7 +183,8 @@ class StreamDecoder:
         switched = self._timeline.switches(protocol)
         refusal = self._timeline.refusal(epoch, protocol)
         if refusal:
-            self._dropped.rejected[f"{protocol} epoch {refusal}"] += 1
+            counter = self._dropped.ignored if refusal == _OTHER_SOURCE else self._dropped.rejected
+            counter[f"{protocol} epoch {refusal}"] += 1
             return []
         self._dropped.epochs += 1
         return [_with_all_slipped(epoch) if switched else epoch]

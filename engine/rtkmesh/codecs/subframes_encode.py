@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, SISA_M, URA_M, accuracy_index
-from rtkmesh.codecs.bits import Layout
+from rtkmesh.codecs.bits import Coding, Field, Layout
 from rtkmesh.codecs.checksums import crc24q
 from rtkmesh.codecs.ephemerides import MOSCOW_MINUS_UTC_S
 from rtkmesh.codecs.subframes import (
@@ -27,7 +27,7 @@ from rtkmesh.codecs.subframes import (
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, SECONDS_PER_DAY, SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import GlonassEphemeris, KeplerEphemeris, KlobucharParameters
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
-from rtkmesh.gnss.time import GpsTime
+from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s
 
 _SUBFRAME_S: Final = 6.0
 _INAV_PAGE_S: Final = 2.0
@@ -99,8 +99,21 @@ def _fields(e: KeplerEphemeris | GlonassEphemeris) -> dict[str, float]:
     return {name: getattr(e, name) for name in e.__slots__ if isinstance(getattr(e, name), int | float)}
 
 
+# GST to UTC (Galileo OS SIS ICD 2.1, table 69); decoders need nothing of it, but RTKLIB wants it before it takes an ephemeris.
+_INAV_6: Final = Layout("I/NAV word 6", 128, (
+    Field("word", ((0, 6),)),
+    Field("leap_s", ((62, 8),), 1.0, Coding.TWOS_COMPLEMENT),
+    Field("t0_s", ((70, 8),), 3600.0),
+    Field("week_0", ((78, 8),)),
+    Field("week_leap", ((86, 8),)),
+    Field("day_leap", ((94, 3),)),
+    Field("leap_next_s", ((97, 8),), 1.0, Coding.TWOS_COMPLEMENT),
+    Field("tow_s", ((105, 20),)),
+))  # fmt: skip
+
+
 def inav_pages(e: KeplerEphemeris, sent: GpsTime) -> list[int]:
-    """Return the I/NAV pages (256 bits, as u-blox lays them out) of words 1 to 5; ValueError if a value does not fit its field."""
+    """Return the I/NAV pages (256 bits, as u-blox lays them out) of words 0 to 6; ValueError if a value does not fit its field."""
     values = _fields(e) | {
         "iodnav": e.iode,
         "toe_s": e.toe.tow_s,
@@ -113,12 +126,18 @@ def inav_pages(e: KeplerEphemeris, sent: GpsTime) -> list[int]:
         "health_e1b": e.health >> 1 & 3,
         "invalid_e5b": e.health >> 6 & 1,
         "health_e5b": e.health >> 7 & 3,
+        "time": 2,
+        "leap_s": gps_minus_utc_s(sent),
+        "leap_next_s": gps_minus_utc_s(sent),
+        "week_0": (sent.week - GST_WEEK_OFFSET) % 256,
+        "week_leap": (sent.week - GST_WEEK_OFFSET) % 256,
+        "day_leap": 1,
     }
     pages: list[int] = []
-    for word in (1, 2, 3, 4, 5):
-        page_time = sent + _INAV_PAGE_S * (word - 1)
+    for word, layout in ({**INAV, 6: _INAV_6}).items():
+        page_time = sent + _INAV_PAGE_S * word
         header = {"word": word, "week": (page_time.week - GST_WEEK_OFFSET) % 4096, "tow_s": page_time.tow_s}
-        pages.append(inav_page(INAV[word].write(values | header)))
+        pages.append(inav_page(layout.write(values | header)))
     return pages
 
 

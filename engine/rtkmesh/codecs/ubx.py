@@ -5,7 +5,7 @@ All other messages are counted as ignored; the services read what they need of t
 
 from datetime import UTC, datetime
 from math import isfinite, radians
-from struct import Struct
+from struct import Struct, unpack_from
 from typing import Final
 
 import numpy as np
@@ -48,7 +48,7 @@ _SIGNALS: Final = {
     (6, 0): "1C", (6, 2): "2C",
     (7, 0): "5A",
 }  # fmt: skip
-_GNSS_IDS, _SV_IDS, _SIG_IDS = 8, 256, 16
+_GNSS_IDS, _SV_IDS, _SIG_IDS, _GLONASS_ID = 8, 256, 16, 6
 
 
 def _satellite_table() -> NDArray[np.int16]:
@@ -71,12 +71,8 @@ def _signal_table() -> NDArray[np.int16]:
 _SATELLITE_OF = _satellite_table()
 _SIGNAL_OF = _signal_table()
 
-MEASUREMENT: Final = np.dtype([
-    ("prMes", "<f8"), ("cpMes", "<f8"), ("doMes", "<f4"), ("gnssId", "u1"), ("svId", "u1"), ("sigId", "u1"), ("freqId", "u1"),
-    ("locktime", "<u2"), ("cno", "u1"), ("prStdev", "u1"), ("cpStdev", "u1"), ("doStdev", "u1"), ("trkStat", "u1"), ("reserved", "u1"),
-])  # fmt: skip
 _RAWX_HEADER: Final = Struct("<dHbBBB2x")
-_PAYLOAD = 6  # offset of the payload in a frame
+_PAYLOAD, _ROWS, _ROW_BYTES = 6, 22, 32  # offsets in a frame of the payload and of the measurements, and their size
 
 _PSEUDORANGE_VALID, _PHASE_VALID, _HALF_CYCLE_VALID = 1, 2, 4  # trkStat; 8: half cycle subtracted from the phase
 _MAX_LOCK_MS = 64500  # locktime counts no further
@@ -86,43 +82,31 @@ Columns = tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int8], NDArray[
 
 
 @kernel
-def rawx_slip(
-    gnss: int, sv: int, sig: int, lock_ms: int, track: int, time_s: float, lock: NDArray[np.int32], seen_s: NDArray[np.float64]
-) -> bool:
+def rawx_slip(state: NDArray[np.float64], lock_ms: int, track: int, time_s: float) -> bool:
     """Return whether the phase slipped since this signal's last valid phase, and remember this epoch.
 
-    The lock time fell or is shorter than the time since then, or the subtraction of the half cycle changed. A slip that meets no
-    valid phase waits for one.
+    ``state``: time of the last epoch (s, negative: none), its lock time (ms), whether the half cycle was subtracted in it, whether a
+    slip waits to be told. The lock time fell or is shorter than the time since then, or the subtraction of the half cycle changed. A
+    slip that meets no valid phase waits for one.
     """
-    last, elapsed_s = int(lock[gnss, sv, sig]), time_s - seen_s[gnss, sv, sig]
-    subtracted = track >> 3 & 1
-    slipped = lock_ms == 0
-    if last >= 0:
-        too_short = lock_ms < _MAX_LOCK_MS and lock_ms * 1e-3 + 0.1 < elapsed_s
-        slipped = slipped or lock_ms < last >> 2 or too_short or subtracted != (last & 1) or last & 2 != 0
-    waits = 2 if slipped and not track & _PHASE_VALID else 0
-    lock[gnss, sv, sig] = lock_ms << 2 | waits | subtracted
-    seen_s[gnss, sv, sig] = time_s
+    subtracted, slipped = track >> 3 & 1, lock_ms == 0
+    if state[0] >= 0.0:
+        too_short = lock_ms < _MAX_LOCK_MS and lock_ms / 1e3 + 0.1 < time_s - state[0]
+        slipped = slipped or lock_ms < state[1] or too_short or subtracted != state[2] or state[3] > 0.0
+    state[0], state[1], state[2] = time_s, lock_ms, subtracted
+    state[3] = 1.0 if slipped and not track & _PHASE_VALID else 0.0
     return slipped
 
 
 @kernel
-def rawx_columns(
-    rows: NDArray[np.void], version: int, time_s: float, satellite_of: NDArray[np.int16], signal_of: NDArray[np.int16],
-    lock: NDArray[np.int32], seen_s: NDArray[np.float64],
-) -> Columns:  # fmt: skip
-    """Return the columns of an epoch, sorted by (satellite, signal), of RXM-RAWX measurements.
-
-    The float columns are the rows of one array: pseudorange, phase, Doppler, C/N0, lock time, sigma of pseudorange, of phase. The
-    last value is the number of rows dropped: satellite or signal not known, or there twice.
-    """
-    total = len(rows)
-    order, keys, count = np.empty(total, np.int64), np.empty(total, np.int64), 0
-    for i in range(total):
-        gnss, sv, sig = int(rows[i]["gnssId"]), int(rows[i]["svId"]), int(rows[i]["sigId"]) if version > 0 else 0
-        if gnss >= _GNSS_IDS or sig >= _SIG_IDS or satellite_of[gnss, sv] == 0 or signal_of[gnss, sig] == 0:
+def rawx_order(octets: NDArray[np.uint8], version: int, order: NDArray[np.int64], keys: NDArray[np.int64]) -> int:
+    """Fill the row numbers of known signals and their keys (satellite * 512 + signal), rising, each key once; return how many."""
+    count = 0
+    for i in range(len(order)):
+        gnss, sv, sig = int(octets[32 * i + 20]), int(octets[32 * i + 21]), int(octets[32 * i + 22]) if version > 0 else 0
+        if gnss >= _GNSS_IDS or sig >= _SIG_IDS or _SATELLITE_OF[gnss, sv] == 0 or _SIGNAL_OF[gnss, sig] == 0:
             continue
-        key = int(satellite_of[gnss, sv]) * 512 + int(signal_of[gnss, sig])
+        key = int(_SATELLITE_OF[gnss, sv]) * 512 + int(_SIGNAL_OF[gnss, sig])
         place = count
         while place > 0 and keys[place - 1] > key:
             place -= 1
@@ -132,25 +116,46 @@ def rawx_columns(
             keys[k], order[k] = keys[k - 1], order[k - 1]
         keys[place], order[place] = key, i
         count += 1
+    return count
+
+
+@kernel
+def rawx_columns(
+    octets: NDArray[np.uint8],
+    doubles: NDArray[np.float64],
+    singles: NDArray[np.float32],
+    version: int,
+    time_s: float,
+    state: NDArray[np.float64],
+) -> Columns:
+    """Return the columns of an epoch, sorted by (satellite, signal), of RXM-RAWX measurements.
+
+    The measurements (32 bytes each) come as three views of the same bytes; ``state`` is that of ``rawx_slip`` by gnssId, svId, sigId. The
+    float columns are the rows of one array: pseudorange, phase, Doppler, C/N0, lock time, sigma of pseudorange, of phase. The last
+    value is the number of rows dropped: satellite or signal not known, or there twice.
+    """
+    total = len(octets) // 32
+    order, keys = np.empty(total, np.int64), np.empty(total, np.int64)
+    count = rawx_order(octets, version, order, keys)
     satellite, signal = np.empty(count, np.int16), np.empty(count, np.int16)
     channel, flags, values = np.empty(count, np.int8), np.zeros(count, np.uint8), np.empty((7, count))
     for k in range(count):
-        row = rows[order[k]]
         satellite[k], signal[k] = keys[k] // 512, keys[k] % 512
-        gnss, sv, sig = int(row["gnssId"]), int(row["svId"]), int(row["sigId"]) if version > 0 else 0
-        channel[k] = int(row["freqId"]) - 7 if gnss == 6 and row["freqId"] <= 20 else NO_CHANNEL
-        track, lock_ms = int(row["trkStat"]), int(row["locktime"])
-        pseudorange_m, phase_cyc, doppler_hz = row["prMes"], row["cpMes"], float(row["doMes"])
+        at = 32 * order[k]
+        gnss, sv, sig, freq = int(octets[at + 20]), int(octets[at + 21]), int(octets[at + 22]) if version > 0 else 0, int(octets[at + 23])
+        channel[k] = freq - 7 if gnss == _GLONASS_ID and freq <= 20 else NO_CHANNEL
+        lock_ms, track = int(octets[at + 24]) | int(octets[at + 25]) << 8, int(octets[at + 30])
+        pseudorange_m, phase_cyc, doppler_hz = doubles[at // 8], doubles[at // 8 + 1], float(singles[at // 4 + 4])
         code_valid = track & _PSEUDORANGE_VALID and 0.0 < pseudorange_m < _MAX_PSEUDORANGE_M
         phase_valid = track & _PHASE_VALID and abs(phase_cyc) < _MAX_PHASE_CYC
-        slipped = rawx_slip(gnss, sv, sig, lock_ms, track, time_s, lock, seen_s)
+        slipped = rawx_slip(state[gnss, sv, sig], lock_ms, track, time_s)
         if phase_valid:
             flags[k] = (SLIP if slipped else 0) | (0 if track & _HALF_CYCLE_VALID else HALF_CYCLE)
-        code_index, phase_index = int(row["prStdev"]) & 15, int(row["cpStdev"]) & 15
+        code_index, phase_index = int(octets[at + 27]) & 15, int(octets[at + 28]) & 15
         values[0, k] = pseudorange_m if code_valid else np.nan
         values[1, k] = phase_cyc if phase_valid else np.nan
         values[2, k] = doppler_hz if abs(doppler_hz) < _MAX_DOPPLER_HZ else np.nan
-        values[3, k] = row["cno"]
+        values[3, k] = octets[at + 26]
         values[4, k] = lock_ms / 1e3
         values[5, k] = 0.01 * (1 << code_index)
         values[6, k] = 0.004 * phase_index if 0 < phase_index < 15 else np.nan
@@ -174,8 +179,7 @@ class UbxDecoder:
         self.counters = DecodingCounters()
         self.clock_resets = 0
         self._navigation = NavigationDecoder(approximate_time)
-        self._lock = np.full((_GNSS_IDS, _SV_IDS, _SIG_IDS), -1, np.int32)
-        self._seen_s = np.zeros((_GNSS_IDS, _SV_IDS, _SIG_IDS))
+        self._slip_state = np.full((_GNSS_IDS, _SV_IDS, _SIG_IDS, 4), -1.0)
 
     @property
     def time(self) -> GpsTime | None:
@@ -205,16 +209,15 @@ class UbxDecoder:
         if payload < 16:
             return "length"
         tow_s, week, _, total, status, version = _RAWX_HEADER.unpack_from(data, _PAYLOAD)
-        if payload < 16 + MEASUREMENT.itemsize * total:
+        if payload < 16 + _ROW_BYTES * total:
             return "length"
         if not (isfinite(tow_s) and -1.0 < tow_s < SECONDS_PER_WEEK + 1.0) or week == 0:
             return "time"
         time = GpsTime.normalized(week, tow_s)
-        rows = np.frombuffer(data, MEASUREMENT, total, _PAYLOAD + 16)
+        rows = data[_ROWS : _ROWS + _ROW_BYTES * total]
+        views = np.frombuffer(rows, np.uint8), np.frombuffer(rows, np.float64), np.frombuffer(rows, np.float32)
         now_s = time.week * SECONDS_PER_WEEK + time.tow_s
-        satellite, signal, channel, flags, v, dropped = rawx_columns(
-            rows, version, now_s, _SATELLITE_OF, _SIGNAL_OF, self._lock, self._seen_s
-        )
+        satellite, signal, channel, flags, v, dropped = rawx_columns(*views, version, now_s, self._slip_state)
         if dropped:
             self.counters.rejected["ubx/02-15 unknown signal"] += dropped
         self.clock_resets += status >> 1 & 1
@@ -232,7 +235,7 @@ class UbxDecoder:
         satellite = int(_SATELLITE_OF[gnss, sv]) if gnss < _GNSS_IDS else 0
         if not satellite:
             return "satellite"
-        found = self._subframe(gnss, satellite, sig, freq, Struct(f"<{words}I").unpack_from(data, _PAYLOAD + 8))
+        found = self._subframe(gnss, satellite, sig, freq, unpack_from(f"<{words}I", data, _PAYLOAD + 8))
         if isinstance(found, Refusal):
             return found.value
         return [*found]

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from rtkmesh.codecs.checksums import fletcher16
 from rtkmesh.codecs.subframes_encode import d1_subframes, glonass_strings, inav_pages, lnav_ionosphere, lnav_subframes
-from rtkmesh.codecs.ubx import MEASUREMENT
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KlobucharParameters, NavigationMessage, ReceiverFix
 from rtkmesh.gnss.epoch import HALF_CYCLE, Epoch
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, MAX_SIGNAL, QZSS, SATELLITES_PER_SYSTEM, SBAS, signal_number
@@ -28,6 +27,10 @@ _SIGNALS: Final = {
 _NO_SIGNAL: Final = 255
 _SYSTEMS: Final = 7
 
+_MEASUREMENT: Final = np.dtype([
+    ("prMes", "<f8"), ("cpMes", "<f8"), ("doMes", "<f4"), ("gnssId", "u1"), ("svId", "u1"), ("sigId", "u1"), ("freqId", "u1"),
+    ("locktime", "<u2"), ("cno", "u1"), ("prStdev", "u1"), ("cpStdev", "u1"), ("doStdev", "u1"), ("trkStat", "u1"), ("reserved", "u1"),
+])  # fmt: skip
 _RAWX_HEADER: Final = Struct("<dHbBBB2x")
 _SFRBX_HEADER: Final = Struct("<BBBBBBBx")
 _NAV_PVT: Final = Struct("<IHBBBBBBIiBBBBiiiiIIiiiiiIIHHIihH")
@@ -63,7 +66,7 @@ def encode_rawx(epoch: Epoch, *, clock_reset: bool = False, half_cycle_subtracte
     system = epoch.satellite // SATELLITES_PER_SYSTEM
     sig = _SIG_OF[system, epoch.signal]
     kept = np.flatnonzero(sig != _NO_SIGNAL)[:255]
-    rows = np.zeros(len(kept), MEASUREMENT)
+    rows = np.zeros(len(kept), _MEASUREMENT)
     code, phase, lock_s = epoch.pseudorange_m[kept], epoch.phase_cyc[kept], epoch.lock_s[kept]
     rows["prMes"], rows["cpMes"], rows["doMes"] = np.nan_to_num(code), np.nan_to_num(phase), np.nan_to_num(epoch.doppler_hz[kept])
     rows["gnssId"], rows["sigId"] = _GNSS_OF[system[kept]], sig[kept]

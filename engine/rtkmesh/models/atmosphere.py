@@ -67,14 +67,22 @@ def zenith_wet_m(height_m: float) -> float:
 
 
 @kernel
+def day_of_year(week: int, tow_s: float) -> float:
+    """Return the day of year with its fraction, 1.0 at the start of January 1, of a GPST instant between 1980 and 2099."""
+    days = week * 7 + 5 + int(tow_s // SECONDS_PER_DAY)  # since 1980-01-01, the first day of a cycle of four years
+    day = days % 1461
+    if day >= 366:
+        day = (day - 366) % 365
+    return day + 1.0 + (tow_s % SECONDS_PER_DAY) / SECONDS_PER_DAY
+
+
+@kernel
 def troposphere_at(lat_rad: float, height_m: float, week: int, tow_s: float, out: Vector) -> None:
     """Write what the troposphere above a place at a time needs (TROPOSPHERE): zenith delays and mapping coefficients.
 
-    Niell 1996 equations 4 to 6. The day of year comes from weeks and a mean year: it is within one day, which moves the mapping function
-    by less than 1e-5 at 5 degrees.
+    Niell 1996 equations 4 to 6.
     """
-    day_of_year = (week * 7.0 + tow_s / SECONDS_PER_DAY + 6.0) % 365.25
-    season = (day_of_year - 28.0) / 365.25 + (0.5 if lat_rad < 0.0 else 0.0)
+    season = (day_of_year(week, tow_s) - 28.0) / 365.25 + (0.5 if lat_rad < 0.0 else 0.0)
     place = min(max(np.rad2deg(abs(lat_rad)) / 15.0 - 1.0, 0.0), 4.0)
     below = min(int(place), 3)
     part = place - below

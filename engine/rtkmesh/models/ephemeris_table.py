@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
-from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris
+from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, MAX_SATELLITE, NAVIC, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
 
@@ -170,7 +170,7 @@ def _pack(e: Ephemeris) -> Row:
     row = np.zeros(ROW)
     if isinstance(e, GlonassEphemeris):
         row[: AF2 + 1] = (
-            STATE_VECTOR, e.satellite, 5.0, e.toe.week, e.toe.tow_s, e.toe.week, e.toe.tow_s, e.health, accuracy, e.iode,
+            STATE_VECTOR, e.satellite, NavigationMessage.FDMA, e.toe.week, e.toe.tow_s, e.toe.week, e.toe.tow_s, e.health, accuracy, e.iode,
             e.channel, e.tau_s, e.gamma, 0.0,
         )  # fmt: skip
         row[DELAY_1] = e.group_delay_s

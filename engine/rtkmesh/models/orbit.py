@@ -220,8 +220,10 @@ def group_delay_m(row: Vector, signal: int) -> float:
 
     IS-GPS-200N 20.3.3.3.3.2 (clock of L1P and L2P free of ionosphere), Galileo OS SIS ICD 2.1 5.1.5, BDS-SIS-ICD-B1I-3.0 5.2.4.10 (clock
     of B3I), GLONASS ICD 5.1 4.4 (clock of L1; delta tau n is L2 minus L1). Biases between codes of one band are not broadcast in these
-    messages and count as zero; L5 of GPS goes by the rule of L2.
+    messages and count as zero; L5 of GPS goes by the rule of L2. NaN without an ephemeris.
     """
+    if row[KIND] == NO_EPHEMERIS:
+        return np.nan
     system, band = int(row[SATELLITE]) // 64, signal // 26
     if system == GLONASS:
         return _C * row[DELAY_1] if band == 2 or band == 6 else 0.0

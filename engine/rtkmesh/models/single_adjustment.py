@@ -47,6 +47,7 @@ _MOST_SCALE = 4.0
 _GROSS = 12.0  # without redundancy to say which satellite is wrong, up to here the solution is given with a larger covariance
 _BACK = 3.0  # an excluded satellite comes back when its predicted residual is within this many sigmas
 _ORBIT_PART = 0.4**2  # a broadcast accuracy is a bound: the signals of healthy satellites are 0.2 to 0.4 of it off
+_IONOSPHERE_PART = 0.3  # of Klobuchar's delay; its error is a half, but most of that is common to all satellites
 _TROPOSPHERE_SIGMA_M = 0.1  # at the zenith, of the standard atmosphere
 _ITERATIONS = 12
 _ROBUST_ITERATIONS = 25
@@ -69,7 +70,7 @@ def adjust_position(work: Matrix, states: Matrix, geometry: Matrix, week: int, t
     status = _converge(work, states, geometry, week, tow_s, klobuchar, setup, LEAST_SQUARES, position, clocks_m, cofactor)
     if status == FEW_SATELLITES:
         return status
-    if status != CONVERGED or _scaled_worst(work, geometry, cofactor) >= 0:
+    if status != CONVERGED or _is_doubtful(work, geometry, cofactor):
         _robust_start(work, states, geometry, week, tow_s, klobuchar, setup, position, clocks_m, cofactor)
     _mask_low(work, geometry, setup[0])
     status = _exclude(work, states, geometry, week, tow_s, klobuchar, setup, position, clocks_m, cofactor)
@@ -99,6 +100,8 @@ def _converge(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow_s: 
         else:
             _ranges_only(states, position, geometry)
         _residuals(work, states, geometry, setup, clocks_m)
+        if norm == LEAST_ABSOLUTE:
+            _centre_clocks(work, clocks_m)
         _weights(work, norm)
         status = _solve(work, geometry, cofactor, step)
         if status != CONVERGED:
@@ -127,7 +130,7 @@ def _variances(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector) ->
     for i in range(work.shape[0]):
         sine = max(sin(geometry[i, ELEVATION]), 0.05)
         noise = work[i, NOISE] + work[i, GAIN] * (setup[1] ** 2 + (setup[2] / sine) ** 2)
-        ionosphere = 0.5 * work[i, IONOSPHERE] * geometry[i, IONOSPHERE_L1_M]
+        ionosphere = _IONOSPHERE_PART * work[i, IONOSPHERE] * geometry[i, IONOSPHERE_L1_M]
         work[i, VARIANCE] = noise + _ORBIT_PART * states[i, STATE_VARIANCE] + ionosphere**2 + (_TROPOSPHERE_SIGMA_M / sine) ** 2
 
 
@@ -137,6 +140,25 @@ def _residuals(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector, cl
         delay = setup[3] * work[i, IONOSPHERE] * geometry[i, IONOSPHERE_L1_M] + setup[4] * geometry[i, TROPOSPHERE_M]
         modelled = geometry[i, RANGE] - _C * states[i, STATE_CLOCK] + delay + clocks_m[int(work[i, GROUP])]
         work[i, RESIDUAL] = work[i, CODE] - modelled
+
+
+@kernel
+def _centre_clocks(work: Matrix, clocks_m: Vector) -> None:
+    """Move each clock, and the residuals of its satellites, to their median: the exact L1 solution at this position."""
+    sizes = np.empty(work.shape[0])
+    for k in range(CLOCKS):
+        count = 0
+        for i in range(work.shape[0]):
+            if work[i, USED] != 0.0 and work[i, GROUP] == k:
+                sizes[count] = work[i, RESIDUAL]
+                count += 1
+        if count == 0:
+            continue
+        shift = _median(sizes[:count])
+        clocks_m[k] += shift
+        for i in range(work.shape[0]):
+            if work[i, GROUP] == k:
+                work[i, RESIDUAL] -= shift
 
 
 @kernel
@@ -206,6 +228,16 @@ def _normalised(work: Matrix, geometry: Matrix, cofactor: Matrix, i: int) -> flo
 
 
 @kernel
+def _is_doubtful(work: Matrix, geometry: Matrix, cofactor: Matrix) -> bool:
+    """Return whether any normalised residual is beyond the limit at the modelled noise: many outliers raise the scale that hides them."""
+    largest = 0.0
+    for i in range(work.shape[0]):
+        if work[i, USED] != 0.0:
+            largest = max(largest, _normalised(work, geometry, cofactor, i))
+    return largest > _LIMIT
+
+
+@kernel
 def _scaled_worst(work: Matrix, geometry: Matrix, cofactor: Matrix) -> int:
     """Return the used satellite with the largest normalised residual if that is beyond the limit, else -1."""
     count, worst = 0, -1
@@ -226,17 +258,20 @@ def _scaled_worst(work: Matrix, geometry: Matrix, cofactor: Matrix) -> int:
 
 @kernel
 def _scale_of(sizes: Vector) -> float:
-    """Return the robust scale (median of absolute normalised residuals over that of a normal variable) between 1 and _MOST_SCALE.
+    """Return the robust scale (median of absolute normalised residuals over that of a normal variable) between 1 and _MOST_SCALE."""
+    return min(max(1.4826 * _median(sizes), 1.0), _MOST_SCALE)
 
-    Sorts ``sizes`` (own insertion sort: np.sort costs two seconds of compilation).
-    """
-    for i in range(1, len(sizes)):
-        value, k = sizes[i], i
-        while k > 0 and sizes[k - 1] > value:
-            sizes[k] = sizes[k - 1]
+
+@kernel
+def _median(values: Vector) -> float:
+    """Return the (upper) median and leave the values sorted (own insertion sort: np.sort costs two seconds of compilation)."""
+    for i in range(1, len(values)):
+        value, k = values[i], i
+        while k > 0 and values[k - 1] > value:
+            values[k] = values[k - 1]
             k -= 1
-        sizes[k] = value
-    return min(max(1.4826 * sizes[len(sizes) // 2], 1.0), _MOST_SCALE)
+        values[k] = value
+    return values[len(values) // 2]
 
 
 @kernel
@@ -244,7 +279,8 @@ def _robust_start(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow
                   position: Vector, clocks_m: Vector, cofactor: Matrix) -> None:  # fmt: skip
     """Fit to the least sum of absolute residuals and put aside whatever lies far off it.
 
-    Several outliers at once hide each other from one-by-one tests; the L1 fit follows the majority.
+    Several outliers at once hide each other from one-by-one tests; the L1 fit follows the majority. Without a degree of freedom to
+    control what remains, nothing is put aside.
     """
     _converge(work, states, geometry, week, tow_s, klobuchar, setup, LEAST_ABSOLUTE, position, clocks_m, cofactor)
     count = 0
@@ -259,6 +295,9 @@ def _robust_start(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow
     for i in range(work.shape[0]):
         if work[i, USED] != 0.0 and not abs(work[i, RESIDUAL]) < limit * sqrt(work[i, VARIANCE]):
             work[i, USED] = 0.0
+    if _freedom(work) < 1:
+        for i in range(work.shape[0]):
+            work[i, USED] = states[i, STATE_OK]
 
 
 @kernel

@@ -23,12 +23,12 @@ from rtkmesh.rtk.matching import Matcher
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, CodeScale
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.report import Outcome, from_single, report
-from rtkmesh.rtk.residuals import CODE, PHASE, WAVELENGTH, Conditions, Differences, observe
+from rtkmesh.rtk.residuals import CHANNEL, CODE, PHASE, WAVELENGTH, Conditions, Differences, observe
 from rtkmesh.rtk.slips import KNOWN_SLIP, LOST, find_slips
 from rtkmesh.rtk.solution import Reason, Solution
 from rtkmesh.rtk.state import (
     ARC_EPOCHS, ARC_S, BASE_LOCK_S, BASE_M, BASE_S, INTEGER, ISSUE, REJECTS, ROVER_LOCK_S, ROVER_M, ROVER_S, SEEN_S, SLIPS,
-    FIRST_PAIR_KEY, ZENITH_KEY, FilterState,
+    FIRST_PAIR_KEY, SLOPE_KEY, ZENITH_KEY, FilterState,
 )  # fmt: skip
 from rtkmesh.rtk.update import Layout, Update, update
 from rtkmesh.rtk.validation import Candidates, Resolution, Validation
@@ -48,11 +48,12 @@ _GLONASS_SIGMA_CYC: Final = 20.0  # wavelengths differ by channel: the common pa
 _KNOWN_SLIP_SIGMA_CYC: Final = 0.2
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath (algorithms.md finding 9; MEO geometry at walking speed to static)
 _CODE_RAMP = 1e9
-_LONG_BASELINE_M: Final = 8000.0  # from here on the ionosphere is a state per satellite
-_IONOSPHERE_SIGMA_PPM: Final = 1.5e-6
-_IONOSPHERE_WALK_PPM: Final = 0.04e-6  # per square root of second
-_ZENITH_SIGMA_M: Final = 0.03
-_ZENITH_WALK_M: Final = 1e-4  # per square root of second
+_LONG_BASELINE_M: Final = 70e3  # from here on the ionosphere is a state per satellite; nearer, states cost more than they give (35 km: 99 against 30 % right)
+_IONOSPHERE_SIGMA_PPM: Final = 1.0e-6
+_IONOSPHERE_WALK_PPM: Final = 0.012e-6  # per square root of second
+_ZENITH_SIGMA_M: Final = 0.02
+_ZENITH_WALK_M: Final = 5e-5  # per square root of second
+_SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
 
 
@@ -187,9 +188,10 @@ class Rtk:
         diagonal = np.einsum("ii->i", state.P)
         diagonal[first:] += self.options.dynamics.ambiguity_cyc**2 * dt
         length = float(np.linalg.norm(state.x[:3]))
-        diagonal[state.dynamic : first] += (_IONOSPHERE_WALK_PPM * length) ** 2 * dt
-        if len(state.keys) and state.keys[0] == ZENITH_KEY:
-            diagonal[state.dynamic] += _ZENITH_WALK_M**2 * dt - (_IONOSPHERE_WALK_PPM * length) ** 2 * dt
+        walk = np.full(first - state.dynamic, (_IONOSPHERE_WALK_PPM * length) ** 2)
+        walk[state.keys[: len(walk)] == ZENITH_KEY] = _ZENITH_WALK_M**2
+        walk[state.keys[: len(walk)] == SLOPE_KEY] = _SLOPE_WALK_M**2
+        diagonal[state.dynamic : first] += walk * dt
 
     def _motion_noise(self, state: FilterState) -> Matrix:
         """Return the spectral density of the jerk (ECEF)."""
@@ -261,30 +263,39 @@ class Rtk:
         satellites = np.unique(pairs.satellite[np.isfinite(table[:, CODE])]).astype(np.int64)
         if long:
             keys = [np.zeros(1, np.int64), satellites, *keys]
+        sloped = bool(np.any(table[phase, CHANNEL] != 0.0))
+        if sloped:
+            keys.append(np.full(1, SLOPE_KEY))
         dt = state.time_s - state.rover_s
         state.use_keys(np.unique(np.concatenate(keys)), max(self.options.slip.maximum_gap_s, 2.5 * dt if dt == dt else 0.0))
         ambiguity = np.full(len(pairs), -1, np.int64)
         ambiguity[phase] = state.place(pairs.key[phase])
         ionosphere = np.full(len(pairs), -1, np.int64)
+        self._begin_shared(state)
         if long:
             ionosphere = np.minimum(np.searchsorted(state.keys, pairs.satellite), len(state.keys) - 1)
             ionosphere[state.keys[ionosphere] != pairs.satellite] = -1
-            self._begin_atmosphere(state)
         self._slips(state, differences, phase, ambiguity[phase])
         self._begin_ambiguities(state, differences, np.flatnonzero(phase), ambiguity[phase])
         inflation = np.ones(len(pairs))
         if dt == dt:
             age = np.maximum(state.history[ambiguity[phase], ARC_EPOCHS], 0.0)
             inflation[phase] = np.minimum(1.0 + _CODE_RAMP * age, max(1.0, 2.0 * _CODE_MEMORY_S / max(dt, 1e-3)))
-        return Layout(ambiguity, ionosphere.astype(np.int64), 0 if long else -1, inflation)
+        slope = int(np.searchsorted(state.keys, SLOPE_KEY)) if sloped else -1
+        return Layout(ambiguity, ionosphere.astype(np.int64), 0 if long else -1, slope, inflation)
 
-    def _begin_atmosphere(self, state: FilterState) -> None:
+    def _begin_shared(self, state: FilterState) -> None:
+        """Give a value to new states of the atmosphere and of the GLONASS slope; all of them count as seen."""
         length = float(np.linalg.norm(state.x[:3]))
         for i in np.flatnonzero((state.keys < FIRST_PAIR_KEY) & (state.history[:, ARC_EPOCHS] < 0.0)).tolist():
-            sigma = _ZENITH_SIGMA_M if state.keys[i] == ZENITH_KEY else _IONOSPHERE_SIGMA_PPM * length
-            reset_state(state.x, state.P, state.dynamic + i, 0.0, sigma**2)
+            value, sigma = 0.0, _IONOSPHERE_SIGMA_PPM * length
+            if state.keys[i] == ZENITH_KEY:
+                sigma = _ZENITH_SIGMA_M
+            elif state.keys[i] == SLOPE_KEY:
+                value, sigma = self._validation.slope
+            reset_state(state.x, state.P, state.dynamic + i, value, sigma**2)
             state.history[i, ARC_EPOCHS] = 0.0
-        state.history[state.keys < FIRST_PAIR_KEY, SEEN_S] = state.time_s
+        state.history[: np.searchsorted(state.keys, FIRST_PAIR_KEY), SEEN_S] = state.time_s
 
     def _slips(self, state: FilterState, differences: Differences, phase: NDArray[np.bool_], place: Indices) -> None:
         """Find slips; a jump of known size moves its ambiguity, one of unknown size begins it anew."""
@@ -318,7 +329,7 @@ class Rtk:
         for k, i in zip(index.tolist(), place.tolist(), strict=True):
             if state.history[i, ARC_EPOCHS] >= 0.0:
                 continue
-            glonass = differences.pairs.satellite[k] // 64 == 1
+            glonass = differences.pairs.satellite[k] // 64 == GLONASS
             value = (table[k, PHASE] - table[k, CODE]) / table[k, WAVELENGTH]
             sigma = _GLONASS_SIGMA_CYC if glonass else _AMBIGUITY_SIGMA_CYC
             reset_state(state.x, state.P, state.dynamic + i, value, sigma**2)
@@ -344,7 +355,7 @@ class Rtk:
         system, number = pairs.satellite // 64, pairs.satellite % 64
         geostationary = (system == BEIDOU) & ((number <= 5) | (number >= 59))
         elevation = differences.table[:, 9]
-        usable = outcome.phase_used & (layout.ambiguity >= 0) & ~geostationary & (system != GLONASS) & (system != SBAS)
+        usable = outcome.phase_used & (layout.ambiguity >= 0) & ~geostationary & (system != SBAS)
         usable &= elevation >= o.elevation_mask_rad
         usable[usable] = state.history[layout.ambiguity[usable], ARC_EPOCHS] > o.minimum_lock_epochs
         place = layout.ambiguity[usable]

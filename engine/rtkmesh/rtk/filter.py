@@ -1,7 +1,7 @@
 """The filter of single differences: time update, measurement update, bookkeeping of its states.
 
-State: baseline (m, ECEF), in moving modes velocity and acceleration, then one state per *key*, in rising order of keys: 0 the zenith wet delay
-(m), a satellite number its slant ionosphere at L1 (m), a pair's key its single-difference ambiguity (cycles). The receiver clock of each group
+State: baseline (m, ECEF), velocity and acceleration, then one state per *key*, in rising order of keys: 0 the zenith wet delay (m), a satellite number
+its slant ionosphere at L1 (m), 64 the slope of GLONASS phase biases over the channels (m), a pair's key its single-difference ambiguity (cycles). The receiver clock of each group
 (system, signal pair; code and phase apart) is free in every epoch and is eliminated from the normal equations, so there is no reference
 satellite, and the common part of a group's ambiguities is simply not known.
 
@@ -25,11 +25,12 @@ OK: Final = 0
 NOT_POSITIVE_DEFINITE: Final = 1
 
 # Columns of an observation. Y (m) is observed minus predicted; W is the inverse variance (1/m2, 0: not used); H_X to H_Z, H_ZENITH, H_IONOSPHERE and
-# H_AMBIGUITY are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere and the ambiguity.
-Y, W, H_X, H_Y, H_Z, H_ZENITH, H_IONOSPHERE, H_AMBIGUITY = range(8)
-OBSERVATION: Final = 8
-# Columns of its places: clock group, state of the zenith delay, the ionosphere and the ambiguity (-1: none).
-GROUP, AT_ZENITH, AT_IONOSPHERE, AT_AMBIGUITY = range(4)
+# H_SLOPE are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere, the ambiguity and the GLONASS slope.
+Y, W, H_X, H_Y, H_Z, H_ZENITH, H_IONOSPHERE, H_AMBIGUITY, H_SLOPE = range(9)
+OBSERVATION: Final = 9
+# Columns of its places: clock group, then where the states of these four are (-1: none).
+GROUP, AT_ZENITH, AT_IONOSPHERE, AT_AMBIGUITY, AT_SLOPE = range(5)
+PLACES: Final = 5
 
 
 @kernel
@@ -127,7 +128,7 @@ def _entries(row: Vector, places: Indices, dynamic: int, at: Indices, h: Vector)
     for k in range(3):
         at[k], h[k] = k, row[H_X + k]
     count = 3
-    for k in range(3):
+    for k in range(4):
         if places[AT_ZENITH + k] >= 0:
             at[count], h[count] = dynamic + places[AT_ZENITH + k], row[H_ZENITH + k]
             count += 1
@@ -144,7 +145,7 @@ def normal_equations(observations: Matrix, places: Indices, dynamic: int, groups
     N[:, :] = 0.0
     b[:] = 0.0
     mean[:, :] = 0.0
-    at, h = np.empty(6, np.int64), np.empty(6)
+    at, h = np.empty(7, np.int64), np.empty(7)
     for k in range(observations.shape[0]):
         w, y, g = observations[k, W], observations[k, Y], places[k, GROUP]
         if not w > 0.0:
@@ -305,7 +306,7 @@ def residuals(
                     Pm[g, i] += f * P[j, i]
         for j in range(n):
             mPm[g] += mean[g, j] * Pm[g, j]
-    at, h = np.empty(6, np.int64), np.empty(6)
+    at, h = np.empty(7, np.int64), np.empty(7)
     for k in range(observations.shape[0]):
         g, w = places[k, GROUP], observations[k, W]
         value[k], variance[k] = np.nan, np.nan

@@ -45,7 +45,7 @@ class DynamicsOptions:
 
     acceleration_horizontal_mps2: float = 3.0
     acceleration_vertical_mps2: float = 1.5
-    ambiguity_cyc: float = 3e-3  # coloured code noise must not freeze the float (algorithms.md, finding 9)
+    ambiguity_cyc: float = 4e-3  # coloured code noise must not freeze the float (algorithms.md, finding 9)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch
-from rtkmesh.gnss.signals import NO_CHANNEL, carrier_hz
+from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, carrier_hz
 from rtkmesh.models.ephemeris_table import IODE, TOE_TOW, TOE_WEEK, EphemerisTable
 from rtkmesh.models.geometry import AZIMUTH, E_X, E_Z, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_model
 from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK
@@ -26,8 +26,9 @@ Indices = NDArray[np.int64]
 
 # Columns of a single difference. CODE and PHASE (m): observed minus modelled, rover minus base, NaN where not to be used; ROVER_PHASE and BASE_PHASE (m)
 # the same of one receiver (time differences find slips in them); variances (m2); IONOSPHERE is (f1 / f)^2; CN0 the lower of the two.
-CODE, PHASE, ROVER_PHASE, BASE_PHASE, CODE_VARIANCE, PHASE_VARIANCE, WAVELENGTH, IONOSPHERE, CN0, ELEVATION_RAD = range(10)
-DIFFERENCE: Final = 10
+# CHANNEL that of GLONASS, 0 for others.
+CODE, PHASE, ROVER_PHASE, BASE_PHASE, CODE_VARIANCE, PHASE_VARIANCE, WAVELENGTH, IONOSPHERE, CN0, ELEVATION_RAD, CHANNEL = range(11)
+DIFFERENCE: Final = 11
 
 # Places in the vector of noise parameters.
 PHASE_A, PHASE_B, CODE_RATIO, COMMON_VARIANCE = range(4)
@@ -175,6 +176,7 @@ def observe(
         index, pairs.likeness, wavelength, phases[0], phases[1], rover.cn0_dbhz[pairs.rover], base.cn0_dbhz[pairs.base],
         _reported(rover, pairs.rover), _reported(base, pairs.base), elevation, conditions.mask_rad, conditions.noise, out,
     )  # fmt: skip
+    out[:, CHANNEL] = np.where((pairs.satellite // 64 == GLONASS) & (channel != NO_CHANNEL), channel, 0)
     flags = rover.flags[pairs.rover] | base.flags[pairs.base]
     return Differences(
         pairs=pairs,

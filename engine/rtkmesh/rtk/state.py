@@ -15,7 +15,8 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 ZENITH_KEY: Final = 0
-FIRST_PAIR_KEY: Final = MAX_SATELLITE  # below: ionosphere states (satellite numbers) and the zenith delay
+SLOPE_KEY: Final = 64  # GLONASS satellite number 0: no satellite
+FIRST_PAIR_KEY: Final = MAX_SATELLITE  # below: ionosphere states (satellite numbers), the GLONASS slope and the zenith delay
 
 # Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last phases minus
 # model (m), ISSUE the ephemeris they were made with; ARC_EPOCHS counts epochs since the ambiguity was begun anew, REJECTS those in a row in

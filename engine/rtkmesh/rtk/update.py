@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import SYSTEMS
 from rtkmesh.rtk.filter import (
-    AT_AMBIGUITY, AT_IONOSPHERE, AT_ZENITH, GROUP, H_AMBIGUITY, H_IONOSPHERE, H_X, H_ZENITH, OBSERVATION, OK, W, Y,
+    AT_AMBIGUITY, AT_IONOSPHERE, AT_SLOPE, AT_ZENITH, GROUP, H_AMBIGUITY, H_IONOSPHERE, H_SLOPE, H_X, H_ZENITH, OBSERVATION, OK, PLACES, W, Y,
     normal_equations, posterior, residuals,
 )  # fmt: skip
 from rtkmesh.rtk.noise import CodeScale
-from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, ELEVATION_RAD, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
+from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, ELEVATION_RAD, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import FilterState
 from rtkmesh.rtk.velocity import add_velocity
 
@@ -47,12 +47,13 @@ class Layout:
     ambiguity: Indices
     ionosphere: Indices
     zenith: int
+    slope: int
     code_inflation: Vector
 
 
 @kernel
 def fill_observations(
-    table: Matrix, direction: Matrix, group: Indices, groups: int, ambiguity: Indices, ionosphere: Indices, zenith: int,
+    table: Matrix, direction: Matrix, group: Indices, groups: int, ambiguity: Indices, ionosphere: Indices, zenith: int, slope: int,
     inflation: Vector, scale: Vector, keyed: Vector, out: Matrix, places: Indices,
 ) -> None:  # fmt: skip
     """Write code (first n rows) and phase (last n rows) observations of n pairs; ``scale`` is the code variance factor per pair,
@@ -72,9 +73,11 @@ def fill_observations(
             places[row, AT_ZENITH] = zenith
             places[row, AT_IONOSPHERE] = ionosphere[k]
             places[row, AT_AMBIGUITY] = ambiguity[k] if part == 1 else -1
+            out[row, H_SLOPE] = table[k, CHANNEL]
+            places[row, AT_SLOPE] = slope if part == 1 and table[k, CHANNEL] != 0.0 else -1
             y = table[k, CODE] if part == 0 else table[k, PHASE]
             variance = table[k, CODE_VARIANCE] * inflation[k] * scale[k] if part == 0 else table[k, PHASE_VARIANCE]
-            for i in range(3):
+            for i in range(4):
                 if places[row, AT_ZENITH + i] >= 0:
                     y -= out[row, H_ZENITH + i] * keyed[places[row, AT_ZENITH + i]]
             usable = np.isfinite(y) and np.isfinite(variance) and (part == 0 or ambiguity[k] >= 0)
@@ -157,7 +160,7 @@ class _Work:
         self.state, self.differences, self.layout, self.velocity = state, differences, layout, velocity
         self.count, self.groups = n, differences.pairs.groups
         self.system = (differences.pairs.satellite // 64).astype(np.int64)
-        self.observations, self.places = np.empty((2 * n, OBSERVATION)), np.empty((2 * n, 4), np.int64)
+        self.observations, self.places = np.empty((2 * n, OBSERVATION)), np.empty((2 * n, PLACES), np.int64)
         self.N, self.b = np.empty((states, states)), np.empty(states)
         self.mean = np.empty((2 * self.groups, states + 2))
         self.P_new, self.dx = np.empty((states, states)), np.empty(states)
@@ -167,7 +170,7 @@ class _Work:
         """Set up the observations with these code factors and adjust."""
         layout, d = self.layout, self.differences
         fill_observations(
-            d.table, d.rover_direction, d.pairs.group, self.groups, layout.ambiguity, layout.ionosphere, layout.zenith,
+            d.table, d.rover_direction, d.pairs.group, self.groups, layout.ambiguity, layout.ionosphere, layout.zenith, layout.slope,
             layout.code_inflation, factors[self.system], self.state.x[self.state.dynamic :], self.observations, self.places,
         )  # fmt: skip
         return self.adjust()

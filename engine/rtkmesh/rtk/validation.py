@@ -5,8 +5,8 @@ witness: every epoch the free search and the float solution can speak against wh
 held determines them. All thresholds are log odds (see ``ambiguity.log_odds``), so they adapt to the strength of the model.
 """
 
-from dataclasses import dataclass
-from math import exp, inf, log
+from dataclasses import dataclass, replace
+from math import exp, inf, log, sqrt
 from typing import Final
 
 import numpy as np
@@ -16,7 +16,8 @@ from rtkmesh.rtk.ambiguity import NODE_LIMIT, choose_references, compare_integer
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions
 from rtkmesh.rtk.solution import Reason
-from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, INTEGER, FilterState
+from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, INTEGER, SLOPE_KEY, FilterState
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -28,10 +29,17 @@ STREAK_S: Final = 10.0
 STREAK_EPOCHS: Final = 5
 RELEASE: Final = 5.0  # log odds of another vector against the held one at which doubt counts
 RELEASE_EPOCHS: Final = 3
-NORM_LIMIT: Final = 4.0  # squared norm per ambiguity that honest float solutions do not exceed
-JOIN_SIGMA_CYC: Final = 0.12
-JOIN_RESIDUAL_CYC: Final = 0.22
-FIX_SIGMA_M: Final = 0.10  # a fix must be this good, or too few of its ambiguities are known
+NORM_LIMIT: Final = 8.0  # squared norm per ambiguity that honest float solutions do not exceed
+JOIN_ODDS: Final = 9.0  # log odds for ambiguities that join the held ones, whose norm has set the scale
+JOIN_TRIES: Final = 4  # all of the new ones, then without the newer, at last the oldest alone
+SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geodesy 86:139-148: up to 25 mm on L1)
+SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
+GLONASS_VOTES: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
+FIX_SIGMA_M: Final = 0.30  # a fix must be this good, or too few of its ambiguities are known
+STRONG_COUNT: Final = 20  # with so many ambiguities that fit, ACCEPT_MANY is enough: their norm is a test in itself
+ACCEPT_MANY: Final = 5.5
+SURE: Final = 11.0  # log odds from which a new fix is shown at once; with less it must be confirmed
+CONFIRMATIONS: Final = 3
 SUBSET_TRIES: Final = 8
 
 
@@ -106,34 +114,49 @@ class Validation:
         self._doubts = 0
         self._held_since_s = inf
         self._confirmed = 0
+        self._shown = False
+        self._glonass = False
+        self._glonass_votes = 0
+        self.slope = (0.0, SLOPE_SIGMA_M)  # of GLONASS phase biases per channel, and its sigma
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Forget the integers; what was learned of GLONASS belongs to the receivers and stays."""
+        glonass, slope = self._glonass, self.slope
         self.__init__(self.options)
+        self._glonass, self.slope = glonass, slope
 
     def resolve(self, state: FilterState, candidates: Candidates) -> Resolution:
         """Find or keep integers for this epoch."""
         if self.options.mode is AmbiguityMode.OFF:
             return Resolution(Reason.AMBIGUITY_OFF)
-        held = candidates.take(np.isfinite(state.history[candidates.row, INTEGER]))
-        held_pairs = _pairs(state, held)
+        everything = candidates
+        if not self._glonass:
+            candidates = everything.take(everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
+        held_pairs = _pairs(state, _held(state, everything))
         free = _search(state, candidates)
         if len(held_pairs) >= 3:
             self._watch(state, held_pairs, free)
-            held_pairs = _pairs(state, candidates.take(np.isfinite(state.history[candidates.row, INTEGER])))
+            held_pairs = _pairs(state, _held(state, everything))
         if len(held_pairs) < 3:
-            self._try_new(state, candidates, free)
+            self._try_new(state, candidates, everything, free)
         else:
             self._join(state, candidates, held_pairs)
-        return self._fix(state, candidates, free)
+            self._learn_glonass(state, everything, held_pairs)
+        return self._fix(state, everything, free)
 
-    def _try_new(self, state: FilterState, candidates: Candidates, free: Search) -> None:
+    def _try_new(self, state: FilterState, candidates: Candidates, everything: Candidates, free: Search) -> None:
         """Look for integers without any that are held."""
         _release(state)
         self._held_since_s = inf
-        best = free
+        best, wide, level = free, free, state
         if not self._strong(best, 0.0) and len(candidates) > 1:
-            best = max([free, *_subsets(state, candidates)], key=lambda search: search.odds)
+            searches = [free, *_subsets(state, candidates)]
+            if len(everything) > len(candidates):
+                level = _without_slope(state)
+                wide = max(_search(state, everything), flat := _search(level, everything), key=lambda search: search.odds)
+                level = level if wide is flat else state
+                searches.append(wide)
+            best = max(searches, key=lambda search: search.odds)
         if not best.resolved or len(best.pairs) < self.options.minimum_ambiguities:
             self._streak_epochs = 0
             return
@@ -143,11 +166,38 @@ class Validation:
         if self._strong(best, penalty) or (persistent and best.odds >= ACCEPT_AFTER_STREAK + penalty):
             if best.norm > NORM_LIMIT * len(best.pairs):
                 return
+            if best is wide and wide is not free:  # the slope that GLONASS fits with is known now
+                state.x, state.P, self._glonass = level.x, level.P, True
             _hold(state, best.pairs, best.integers)
             self._held_since_s, self._doubts, self._confirmed = state.time_s, 0, 0
+            self._shown = best.odds >= SURE or len(best.pairs) >= STRONG_COUNT
+
+    def _learn_glonass(self, state: FilterState, everything: Candidates, held_pairs: Indices) -> None:
+        """Trust GLONASS integers once they agree with those of the others, with a slope that fits; remember the slope."""
+        slope = int(np.searchsorted(state.keys, SLOPE_KEY))
+        glonass = everything.satellite // SATELLITES_PER_SYSTEM == GLONASS
+        if slope == len(state.keys) or state.keys[slope] != SLOPE_KEY or glonass.sum() < 3:
+            return
+        if self._glonass:
+            x, P = np.empty(1), np.empty((1, 1))
+            condition(state.x, state.P, held_pairs, _held_integers(state, held_pairs), 0.0, np.full(1, state.dynamic + slope), x, P)
+            self.slope = (float(x[0]), sqrt(max(float(P[0, 0]), 0.0)) + SLOPE_CHANGE_M)
+            return
+        wide = _search(state, everything)
+        fits = wide.resolved and wide.odds >= ACCEPT_AT_ONCE and wide.norm <= NORM_LIMIT * len(wide.pairs)
+        if not fits or compare_integers(state.keys, state.history[:, INTEGER].copy(), state.keys, wide.values)[1] > 0:
+            self._glonass_votes = 0
+            return
+        self._glonass_votes += 1
+        if self._glonass_votes >= GLONASS_VOTES:
+            self._glonass = True
 
     def _strong(self, search: Search, penalty: float) -> bool:
-        return search.resolved and search.odds >= ACCEPT_AT_ONCE + penalty and len(search.pairs) >= self.options.minimum_ambiguities
+        count = len(search.pairs)
+        if not search.resolved or count < self.options.minimum_ambiguities:
+            return False
+        many = count >= STRONG_COUNT and search.norm <= 0.25 * NORM_LIMIT * count
+        return search.odds >= (ACCEPT_MANY if many else ACCEPT_AT_ONCE) + penalty
 
     def _follow(self, state: FilterState, search: Search) -> None:
         """Count for how long searches have given the same integers."""
@@ -166,13 +216,14 @@ class Validation:
             other = free.values[pairs[:, 0] - state.dynamic] - free.values[pairs[:, 1] - state.dynamic]
             if np.array_equal(other, integers):
                 self._confirmed += 1
+                self._shown = self._shown or (self._confirmed >= CONFIRMATIONS and free.odds >= ACCEPT_AFTER_STREAK)
             else:
                 best = condition(state.x, state.P, pairs, other, 0.0, _NOTHING, _NO_VECTOR, _NO_MATRIX)
                 doubt = doubt or log_odds(best, norm, len(pairs)) > RELEASE
         self._doubts = self._doubts + 1 if doubt else 0
         if self._doubts >= RELEASE_EPOCHS:
             _release(state)
-            self._doubts, self._streak_epochs = 0, 0
+            self._doubts, self._streak_epochs, self._glonass, self._glonass_votes = 0, 0, False, 0
 
     def _join(self, state: FilterState, candidates: Candidates, held_pairs: Indices) -> None:
         """Give integers to ambiguities that the held ones determine."""
@@ -196,12 +247,17 @@ class Validation:
         norm = condition(state.x, state.P, held_pairs, _held_integers(state, held_pairs), 0.0, wanted, x, P)
         if norm == inf:
             return
-        i, r = np.searchsorted(wanted, rows + state.dynamic), np.searchsorted(wanted, reference + state.dynamic)
-        value = x[i] - x[r]
-        sigma = np.sqrt(np.maximum(P[i, i] + P[r, r] - 2.0 * P[i, r], 0.0))
-        whole = np.rint(value)
-        good = (sigma < JOIN_SIGMA_CYC) & (np.abs(value - whole) < np.minimum(JOIN_RESIDUAL_CYC, 4.0 * np.maximum(sigma, 0.02)))
-        history[rows[good], INTEGER] = history[reference[good], INTEGER] + whole[good]
+        pairs = np.column_stack((np.searchsorted(wanted, rows + state.dynamic), np.searchsorted(wanted, reference + state.dynamic)))
+        scale = max(1.0, norm / len(held_pairs))
+        age = history[rows, ARC_EPOCHS]
+        ages = np.unique(age)
+        for least in np.unique(ages[np.linspace(0, len(ages) - 1, JOIN_TRIES).astype(np.intp)]):
+            old = age >= least
+            fixed, norms = np.zeros((2, int(old.sum()))), np.zeros(2)
+            status, _ = search_pairs(x, P, pairs[old], NODE_LIMIT, fixed, norms)
+            if status == OK and norms[1] - norms[0] >= 2.0 * JOIN_ODDS * scale and norms[0] <= NORM_LIMIT * scale * len(fixed[0]):
+                history[rows[old], INTEGER] = history[reference[old], INTEGER] + fixed[0]
+                return
 
     def _fix(self, state: FilterState, candidates: Candidates, free: Search) -> Resolution:
         """Return the state that follows from what is held now."""
@@ -215,7 +271,7 @@ class Validation:
         x, P = np.empty(state.dynamic), np.empty((state.dynamic, state.dynamic))
         integers = _held_integers(state, pairs)
         norm = condition(state.x, state.P, pairs, integers, 0.0, wanted, x, P)
-        if norm == inf or norm > 2.0 * NORM_LIMIT * len(pairs) or self._doubts > 0:
+        if norm == inf or norm > 2.0 * NORM_LIMIT * len(pairs) or self._doubts > 0 or not self._shown:
             return Resolution(Reason.VALIDATION, **known)
         if P[0, 0] + P[1, 1] + P[2, 2] > FIX_SIGMA_M**2:
             return Resolution(Reason.FLOAT_TOO_UNCERTAIN, **known)
@@ -226,6 +282,25 @@ class Validation:
 _NOTHING = np.zeros(0, np.int64)
 _NO_VECTOR = np.zeros(0)
 _NO_MATRIX = np.zeros((0, 0))
+
+
+def _held(state: FilterState, candidates: Candidates) -> Candidates:
+    return candidates.take(np.isfinite(state.history[candidates.row, INTEGER]))
+
+
+def _without_slope(state: FilterState) -> FilterState:
+    """Return the state under the hypothesis that GLONASS phases have no slope (receivers of one make)."""
+    slope = int(np.searchsorted(state.keys, SLOPE_KEY))
+    if slope == len(state.keys) or state.keys[slope] != SLOPE_KEY:
+        return state
+    i = state.dynamic + slope
+    gain = state.P[:, i] / state.P[i, i]
+    P = state.P - np.outer(gain, state.P[i])
+    P[i, :], P[:, i] = 0.0, 0.0
+    P[i, i] = SLOPE_CHANGE_M**2
+    x = state.x - gain * state.x[i]
+    x[i] = 0.0
+    return replace(state, x=x, P=P)
 
 
 def _pairs(state: FilterState, candidates: Candidates) -> Indices:

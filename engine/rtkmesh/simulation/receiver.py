@@ -57,12 +57,17 @@ class ReceiverOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """An epoch as measured, the true time of its reception, and what only the receiver's own format says."""
+    """An epoch as measured, what only the receiver's own format says of it, and the truth at its reception.
+
+    The directions are per row of the epoch.
+    """
 
     epoch: Epoch
-    true_time: GpsTime
     clock_reset: bool
     half_cycle_subtracted: NDArray[np.bool_]
+    true_time: GpsTime
+    position_ecef_m: NDArray[np.float64]
+    velocity_ecef_mps: NDArray[np.float64]
     azimuth_rad: NDArray[np.float64]
     elevation_rad: NDArray[np.float64]
 
@@ -127,7 +132,12 @@ class Receiver:
         time = tag + -clock_s
         time_s = tag_s - clock_s
         rows = self._sky.rows(time)
-        self._propagate(rows, time, time_s)
+        offset = self._path.offset_enu_m(time_s)
+        position, velocity = self._path.ecef_of(offset), self._path.velocity_ecef_mps(time_s)
+        signal_paths(
+            rows, time.week, time.tow_s, position, velocity, self._klobuchar, self._travel_s, self._states, self._geometry, self._rates
+        )
+        self._add_weather(offset, time_s)
         rng = np.random.default_rng((*self._key, round(tag.week * 604800000 + tag.tow_s * 1e3)))
         shape = (len(SATELLITES), SLOTS)
         normals, uniforms = rng.standard_normal((*shape, NORMALS)), rng.random((*shape, UNIFORMS))
@@ -136,12 +146,8 @@ class Receiver:
         self._last = tag
         options = self._options.signals
         size = len(SATELLITES) * SLOTS
-        index, flags, halves, values = (
-            np.empty(size, np.int64),
-            np.empty(size, np.uint8),
-            np.empty(size, np.bool_),
-            np.empty((VALUES, size)),
-        )
+        index, flags = np.empty(size, np.int64), np.empty(size, np.uint8)
+        halves, values = np.empty(size, np.bool_), np.empty((VALUES, size))
         count = measure(
             rows, self._states, self._geometry, self._rates, self._track, _SIGNAL_OF, _CARRIER_HZ, CHANNELS, self._code_biases_m,
             self._phase_biases_cyc, tag_s, clock_s, clock_rate, options, normals, index, flags, halves, values,
@@ -152,19 +158,16 @@ class Receiver:
             values[PHASE], values[DOPPLER], values[CN0], values[LOCK], values[CODE_SIGMA], values[PHASE_SIGMA],
         )  # fmt: skip
         azimuth, elevation = self._geometry[satellite, AZIMUTH], self._geometry[satellite, ELEVATION]
-        return Observed(epoch, time, reset, halves[:count], azimuth, elevation)
+        return Observed(epoch, reset, halves[:count], time, position, velocity, azimuth, elevation)
 
-    def _propagate(self, rows: NDArray[np.float64], time: GpsTime, time_s: float) -> None:
-        """Find the signals' paths, with what the atmosphere has beyond the models."""
-        position, velocity = self._path.position_ecef_m(time_s), self._path.velocity_ecef_mps(time_s)
-        geometry = self._geometry
-        signal_paths(rows, time.week, time.tow_s, position, velocity, self._klobuchar, self._travel_s, self._states, geometry, self._rates)
-        offset = self._path.offset_enu_m(time_s)
+    def _add_weather(self, offset_enu_m: NDArray[np.float64], time_s: float) -> None:
+        """Add what the atmosphere has beyond the models."""
+        geometry, atmosphere = self._geometry, self._atmosphere
         elevation = geometry[:, ELEVATION]
-        wet_m = self._atmosphere.zenith_wet_m(offset, time_s)
+        wet_m = atmosphere.zenith_wet_m(offset_enu_m, time_s)
         geometry[:, TROPOSPHERE_M] += wet_m * 1.001 / np.sqrt(0.002001 + np.sin(elevation) ** 2)  # RTCA DO-229D A.4.2.4
-        waves = self._atmosphere.waves(offset, time_s)
-        geometry[:, IONOSPHERE_L1_M] += self._atmosphere.ionosphere_l1_m(waves, geometry[:, AZIMUTH], elevation)
+        waves = atmosphere.waves(offset_enu_m, time_s)
+        geometry[:, IONOSPHERE_L1_M] += atmosphere.ionosphere_l1_m(waves, geometry[:, AZIMUTH], elevation)
 
     def _step_tracking(self, tag: GpsTime, tag_s: float, normals: NDArray[np.float64], uniforms: NDArray[np.float64]) -> None:
         first = self._last is None

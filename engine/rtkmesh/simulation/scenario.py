@@ -5,7 +5,7 @@ antennas, or one that is started again, agree on sky, atmosphere and motion.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil, pi, radians
 from typing import Final
 
@@ -16,7 +16,7 @@ from rtkmesh.errors import OptionError
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.environment import Window
-from rtkmesh.simulation.receiver import Receiver, ReceiverOptions
+from rtkmesh.simulation.receiver import Observed, Receiver, ReceiverOptions
 from rtkmesh.simulation.rtcm3_stream import Rtcm3Stream
 from rtkmesh.simulation.sky import absolute_s
 from rtkmesh.simulation.tracking import SignalOptions
@@ -27,10 +27,11 @@ Vector = NDArray[np.float64]
 Offset = tuple[float, float, float]
 
 MAX_RATE_HZ: Final = 50.0
+_LONGEST_DELAY_S: Final = 300.0
 
 _BASE_SIGNALS: Final = SignalOptions(
     code_sigma_m=0.15, phase_sigma_m=0.0008, code_multipath_m=0.3, phase_multipath_m=0.002, slips_per_hour=0.2, zenith_cn0_dbhz=51.0,
-    half_cycle_share=0.0, half_cycle_time_s=0.0,
+    half_cycle_share=0.0, half_cycle_time_s=0.0, glonass_slope_m=0.02,
 )  # fmt: skip
 _BASE: Final = ReceiverOptions(signals=_BASE_SIGNALS, elevation_mask_rad=radians(5.0), steered=True)
 _ROVER: Final = ReceiverOptions(clock_drift=3.1e-7)
@@ -98,11 +99,11 @@ class SimulatedEpoch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """Where everything truly is at a time: antennas (ECEF) by name, the vehicle's velocity at its origin, and its attitude."""
+    """Where everything truly is at a time: positions and velocities of the antennas by name, and the vehicle's attitude."""
 
     time: GpsTime
-    position_ecef_m: dict[str, Vector]
-    velocity_ecef_mps: dict[str, Vector]
+    antennas_ecef_m: dict[str, Vector]
+    velocities_ecef_mps: dict[str, Vector]
     heading_rad: float
     pitch_rad: float
     roll_rad: float
@@ -123,7 +124,8 @@ class SimulatedStream:
     def receiver(self) -> Receiver:
         """Return a fresh receiver of this antenna: observations without their encoding, for tests."""
         windows = () if self._antenna.fixed else self._scenario.windows
-        return Receiver(self._name, _path(self._scenario, self._antenna), self._seed, self._antenna.options, windows)
+        options = replace(self._antenna.options, warm=self._warm)
+        return Receiver(self._name, _path(self._scenario, self._antenna, self._seed), self._seed, options, windows)
 
     def tags(self) -> Iterator[GpsTime]:
         """Yield the nominal times of all epochs: multiples of the interval in GPS time, from the start on."""
@@ -137,17 +139,16 @@ class SimulatedStream:
 
     def epochs(self) -> Iterator[SimulatedEpoch]:
         """Yield all epochs in order, for ever; the caller paces."""
-        receiver, path = self.receiver(), _path(self._scenario, self._antenna)
-        if self._antenna.fixed:
-            x, y, z = path.position_ecef_m(0.0).tolist()
-            base = Rtcm3Stream((x, y, z), warm=self._warm)
-            for tag in self.tags():
-                observed = receiver.observe(tag)
-                yield SimulatedEpoch(observed.true_time, base.encode(observed))
-        rover = UbxStream(path, self._seed, warm=self._warm)
+        receiver, encode = self.receiver(), self._encoder()
         for tag in self.tags():
             observed = receiver.observe(tag)
-            yield SimulatedEpoch(observed.true_time, rover.encode(observed, absolute_s(observed.true_time)))
+            yield SimulatedEpoch(observed.true_time, encode(observed))
+
+    def _encoder(self) -> Callable[[Observed], bytes]:
+        if not self._antenna.fixed:
+            return UbxStream(self._seed, warm=self._warm).encode
+        x, y, z = _path(self._scenario, self._antenna, self._seed).position_ecef_m(0.0).tolist()
+        return Rtcm3Stream((x, y, z), warm=self._warm).encode
 
 
 def open_stream(scenario: str, stream: str, *, seed: int, rate_hz: float, start: GpsTime, warm: bool = True) -> SimulatedStream:
@@ -159,14 +160,15 @@ def open_stream(scenario: str, stream: str, *, seed: int, rate_hz: float, start:
     return SimulatedStream(scenario, stream, seed=seed, rate_hz=rate_hz, start=start, warm=warm)
 
 
-def truth(scenario: str) -> Callable[[GpsTime], Truth]:
-    """Return the function that tells the truth of a scenario at any time; it is the same for all seeds."""
+def truth(scenario: str, *, seed: int) -> Callable[[GpsTime], Truth]:
+    """Return the function that tells the truth of a scenario at any (true) time."""
     chosen = _scenario(scenario)
-    paths = {name: _path(chosen, antenna) for name, antenna in chosen.antennas.items()}
+    trajectory = _delayed(chosen.trajectory, seed)
+    paths = {name: _path(chosen, antenna, seed) for name, antenna in chosen.antennas.items()}
 
     def at(time: GpsTime) -> Truth:
         time_s = absolute_s(time)
-        pose = chosen.trajectory(time_s)
+        pose = trajectory(time_s)
         return Truth(
             time,
             {name: path.position_ecef_m(time_s) for name, path in paths.items()},
@@ -192,5 +194,11 @@ def _find(scenario: str, stream: str) -> tuple[Scenario, Antenna]:
     return chosen, chosen.antennas[stream]
 
 
-def _path(scenario: Scenario, antenna: Antenna) -> AntennaPath:
-    return AntennaPath(scenario.site, None if antenna.fixed else scenario.trajectory, antenna.offset_m)
+def _delayed(trajectory: Trajectory, seed: int) -> Trajectory:
+    """Return the motion begun at another moment for every seed."""
+    delay_s = float(np.random.default_rng((seed, 9001)).uniform(0.0, _LONGEST_DELAY_S))
+    return lambda time_s: trajectory(time_s - delay_s)
+
+
+def _path(scenario: Scenario, antenna: Antenna, seed: int) -> AntennaPath:
+    return AntennaPath(scenario.site, None if antenna.fixed else _delayed(scenario.trajectory, seed), antenna.offset_m)

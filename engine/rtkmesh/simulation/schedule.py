@@ -1,4 +1,4 @@
-"""When a receiver hands out whose ephemeris: at its start, when a satellite is new, and again every frame."""
+"""When a receiver hands out whose ephemeris: at a warm start, once a new satellite has been heard for a while, and again every frame."""
 
 from math import floor
 from typing import Final
@@ -11,34 +11,34 @@ from rtkmesh.gnss.signals import MAX_SATELLITE
 from rtkmesh.gnss.time import GpsTime
 
 FRAME_S: Final = 30.0
-_WARM_S: Final = 2.0  # a warm receiver hands out everything within this time
+_WARM_S: Final = 1.9  # a warm receiver hands out everything within this time
+_SHORTEST_S: Final = 18.0  # it takes three subframes to hear an ephemeris, at best
 
 
 class EphemerisSchedule:
-    """Every satellite in view is due once in FRAME_S, each at its own offset; at a warm start also within the first two seconds."""
+    """Every satellite in view is due once in FRAME_S; a new one 18 to 30 s after it came into view, at a warm start within two seconds."""
 
     def __init__(self, *, warm: bool) -> None:
         self._warm = warm
-        self._start: GpsTime | None = None
-        self._frames = np.full(MAX_SATELLITE, -1, np.int64)  # frame in which each was handed out last
+        self._start_s = np.nan
+        self._first_due_s = np.full(MAX_SATELLITE, np.nan)  # since 1980
+        self._frames = np.full(MAX_SATELLITE, -1, np.int64)  # frame, of each satellite's own counting, handed out last
 
     def due(self, satellites: NDArray[np.int16], time: GpsTime) -> list[int]:
         """Return which of the satellites in view are due at an epoch, in rising order."""
-        if self._start is None:
-            self._start = time
-        return [satellite for satellite in np.unique(satellites).tolist() if self._is_due(satellite, time, self._start)]
-
-    def _is_due(self, satellite: int, time: GpsTime, start: GpsTime) -> bool:
-        """Say yes once per frame of the satellite's own counting, which begins at its offset."""
-        offset_s = (satellite * 7 % 30) + (satellite % 5) * 0.2
         now_s = time.week * SECONDS_PER_WEEK + time.tow_s
-        frame = floor((now_s - offset_s) / FRAME_S)
-        since_s = time - start
-        if self._frames[satellite] < 0:
-            first_due_s = (satellite * 0.37) % _WARM_S if self._warm else (offset_s - (now_s - since_s)) % FRAME_S
-            due = since_s >= first_due_s
-        else:
-            due = frame != self._frames[satellite]
+        if np.isnan(self._start_s):
+            self._start_s = now_s
+        return [satellite for satellite in np.unique(satellites).tolist() if self._is_due(satellite, now_s)]
+
+    def _is_due(self, satellite: int, now_s: float) -> bool:
+        """Say yes when it is due for the first time, then once per frame."""
+        share = satellite * 0.37 % 1.0
+        if np.isnan(self._first_due_s[satellite]):
+            at_start = self._warm and now_s - self._start_s < _WARM_S
+            self._first_due_s[satellite] = now_s + (share * _WARM_S if at_start else _SHORTEST_S + share * (FRAME_S - _SHORTEST_S))
+        frame = floor((now_s - self._first_due_s[satellite]) / FRAME_S)
+        due = frame > self._frames[satellite]
         if due:
             self._frames[satellite] = frame
-        return due
+        return bool(due)

@@ -64,7 +64,7 @@ def signal_paths(
     rows: Matrix, week: int, tow_s: float, receiver_ecef_m: Vector, velocity_ecef_mps: Vector, klobuchar: Vector,
     travel_s: Vector, states: Matrix, geometry: Matrix, rates_mps: Vector,
 ) -> None:  # fmt: skip
-    """Write states at transmission, geometry (see ``models.geometry``) and rates of range of what arrives at a true GPS time.
+    """Write states at transmission, geometry (see ``models.geometry``) and rates of range plus troposphere of what arrives at a true time.
 
     ``travel_s`` (n) holds the travel times: a first guess on entry (that of the epoch before), exact to 1e-12 s on return.
     """
@@ -80,6 +80,7 @@ def signal_paths(
     receiver_geometry(states, week, tow_s, receiver_ecef_m, klobuchar, geometry)
     for i in range(rows.shape[0]):
         rates_mps[i] = range_rate_mps(states[i], geometry[i], velocity_ecef_mps)
+        rates_mps[i] += _troposphere_rate_mps(states[i], geometry[i], receiver_ecef_m)
 
 
 @kernel
@@ -96,6 +97,19 @@ def range_rate_mps(state: Vector, geometry: Vector, velocity_ecef_mps: Vector) -
     # derivative of the turn: e . (omega x s) per second of flight time
     turning = _OMEGA * (geometry[E_X] * state[1] - geometry[E_Y] * state[0])
     return (towards - own) / (1.0 + (towards - turning) / _C)
+
+
+@kernel
+def _troposphere_rate_mps(state: Vector, geometry: Vector, receiver_ecef_m: Vector) -> float:
+    """Return the change of the tropospheric delay per second by the satellite's motion, as if it went with 1 / sin(elevation)."""
+    radius = sqrt(receiver_ecef_m[0] ** 2 + receiver_ecef_m[1] ** 2 + receiver_ecef_m[2] ** 2)
+    sine, along, climb = 0.0, 0.0, 0.0
+    for k in range(3):
+        up = receiver_ecef_m[k] / radius
+        sine += geometry[E_X + k] * up
+        along += geometry[E_X + k] * state[3 + k]
+        climb += up * state[3 + k]
+    return -geometry[TROPOSPHERE_M] * (climb - along * sine) / geometry[RANGE] / max(sine, 0.05)
 
 
 @kernel

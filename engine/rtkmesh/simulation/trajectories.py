@@ -17,7 +17,7 @@ from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_VELOCITY_STEP_S: Final = 0.01  # half-width of central differences; their error stays below 1e-6 m/s in all trajectories
+_VELOCITY_STEP_S: Final = 0.001  # half-width of central differences; their error stays below 1e-6 m/s in all trajectories
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ def static(_time_s: float) -> Pose:
 _LOOP_S: Final = 120.0  # time of one figure of eight
 _DRIVE_S: Final = 240.0  # two loops, then ...
 _TURN_S: Final = 60.0  # ... one turn on the spot
-_EAST_M, _NORTH_M = 200.0, 100.0  # half extents of the figure
+_EAST_M, _NORTH_M = 145.0, 72.5  # half extents of the figure
 
 
 def driving(time_s: float) -> Pose:
@@ -114,7 +114,11 @@ class AntennaPath:
 
     def position_ecef_m(self, time_s: float) -> Vector:
         """Return the antenna's position."""
-        return self._origin_ecef_m + self._turn @ self.offset_enu_m(time_s)
+        return self.ecef_of(self.offset_enu_m(time_s))
+
+    def ecef_of(self, offset_enu_m: Vector) -> Vector:
+        """Return the ECEF position of a place in the site's ENU frame."""
+        return self._origin_ecef_m + self._turn @ offset_enu_m
 
     def velocity_ecef_mps(self, time_s: float) -> Vector:
         """Return the antenna's velocity (central difference)."""

@@ -13,8 +13,7 @@ from rtkmesh.gnss.signals import GLONASS, GPS, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s
 from rtkmesh.simulation.receiver import Observed
 from rtkmesh.simulation.schedule import FRAME_S, EphemerisSchedule
-from rtkmesh.simulation.sky import KLOBUCHAR, broadcast
-from rtkmesh.simulation.trajectories import AntennaPath
+from rtkmesh.simulation.sky import KLOBUCHAR, absolute_s, broadcast
 
 Vector = NDArray[np.float64]
 
@@ -25,16 +24,15 @@ _VELOCITY_ERROR_MPS: Final = 0.03
 class UbxStream:
     """Turns observed epochs into the bytes of one receiver."""
 
-    def __init__(self, path: AntennaPath, seed: int, *, warm: bool) -> None:
-        self._path = path
+    def __init__(self, seed: int, *, warm: bool) -> None:
         self._schedule = EphemerisSchedule(warm=warm)
         self._phases = np.random.default_rng((seed, 4711)).uniform(0.0, 2.0 * np.pi, 3)
 
-    def encode(self, observed: Observed, time_s: float) -> bytes:
-        """Return all bytes of an epoch; ``time_s`` is its true time from the sky's REFERENCE."""
+    def encode(self, observed: Observed) -> bytes:
+        """Return all bytes of an epoch."""
         epoch = observed.epoch
         raw = encode_rawx(epoch, clock_reset=observed.clock_reset, half_cycle_subtracted=observed.half_cycle_subtracted)
-        parts = [raw, encode_nav_pvt(self._fix(observed, time_s))]
+        parts = [raw, encode_nav_pvt(self._fix(observed))]
         for satellite in self._schedule.due(epoch.satellite, observed.true_time):
             sent = frame_start(satellite, observed.true_time)
             parts += encode_ephemeris(broadcast(satellite, observed.true_time), sent, KLOBUCHAR)
@@ -42,14 +40,15 @@ class UbxStream:
                 parts.append(encode_ionosphere(satellite, KLOBUCHAR, sent))
         return b"".join(parts)
 
-    def _fix(self, observed: Observed, time_s: float) -> ReceiverFix:
+    def _fix(self, observed: Observed) -> ReceiverFix:
         """Return the receiver's own solution: the truth with a wandering error of about a metre."""
+        time_s = absolute_s(observed.true_time)
         satellites = len(np.unique(observed.epoch.satellite))
-        place = geodetic_from_ecef(self._path.position_ecef_m(time_s))
-        turn = enu_from_ecef(place[0], place[1])
+        latitude, longitude, _ = geodetic_from_ecef(observed.position_ecef_m)
+        turn = enu_from_ecef(latitude, longitude)
         wander = np.sin(2.0 * np.pi * time_s / np.array((70.0, 110.0, 150.0)) + self._phases)
-        place = geodetic_from_ecef(self._path.position_ecef_m(time_s) + turn.T @ (_FIX_ERROR_M * wander))
-        east, north, up = (turn @ self._path.velocity_ecef_mps(time_s) + _VELOCITY_ERROR_MPS * wander).tolist()
+        place = geodetic_from_ecef(observed.position_ecef_m + turn.T @ (_FIX_ERROR_M * wander))
+        east, north, up = (turn @ observed.velocity_ecef_mps + _VELOCITY_ERROR_MPS * wander).tolist()
         time = _rounded_ms(observed.epoch.time)
         fix = 3 if satellites >= 5 else 0
         return ReceiverFix(time, fix, place[0], place[1], place[2], 1.2, 1.8, (north, east, -up), satellites)

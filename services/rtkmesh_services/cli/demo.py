@@ -5,16 +5,16 @@ import re
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
 import rtkmesh_services
-from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.config import Deployment
@@ -30,9 +30,13 @@ from rtkmesh_services.control.keeper import free_port, is_free
 from rtkmesh_services.runtime.configuration import load_site
 from rtkmesh_services.runtime.process import leave
 
+if TYPE_CHECKING:
+    from rtkmesh.simulation.scenario import Truth as SimulatedTruth
+
 FIRST_FIX_WITHIN_S: Final = 60.0
 POSITION_ID, HEADING_ID = "rtk", "heading"
 _ENDPOINT: Final = "tcp/127.0.0.1:7547"
+TruthAt = Callable[[GpsTime], "SimulatedTruth"]
 _SIMULATED: Final = re.compile(r"(?P<where>sim://[a-z0-9_]+/[a-z0-9_]+)\?[^\"]*")
 
 
@@ -55,10 +59,12 @@ def demo(
         file.write_text(deployment_text(rate, seed))
         site = load_site(file)
         board = Board()
-        score = Score(truth_of(site.deployment, seed))
+        score = Score(lambda: truth_of(site.deployment, seed))
         board.on_solution, board.on_attitude = score.solution, score.attitude
         view = View(board, "rtkmesh demo", truth=Truth(score.position_error, score.heading_error), note=score.note)
-        foreground = Foreground(site, LaunchOptions(file), quiet=as_json, board=board, view=view, ends=Enough(seconds, score))
+        foreground = Foreground(
+            site, LaunchOptions(file), quiet=as_json, board=board, view=view, prepare=score.prepare, ends=Enough(seconds, score)
+        )
         code = foreground.run()
     summary = score.summary(foreground)
     if as_json:
@@ -107,45 +113,21 @@ class Enough:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """The truth at an epoch, as far as the demo shows it."""
-
-    antennas_ecef_m: dict[str, NDArray[np.float64]]
-    heading_rad: float
-
-
-class SimulatedTruth:
-    """The scenario's truth at the times of messages."""
-
-    def __init__(self, scenario: str, seed: int) -> None:
-        from rtkmesh.simulation.scenario import truth
-
-        self._truth = truth(scenario, seed=seed)
-
-    def at(self, week: int, tow_s: float) -> Moment:
-        """Return the truth at a GPS time."""
-        now = self._truth(GpsTime(week, tow_s))
-        return Moment(now.antennas_ecef_m, now.heading_rad)
-
-
-def truth_of(deployment: Deployment, seed: int) -> "dict[str, tuple[SimulatedTruth, str]]":
+def truth_of(deployment: Deployment, seed: int) -> dict[str, tuple[TruthAt, str]]:
     """Return, for each ingest, its scenario's truth and its antenna."""
-    found: dict[str, tuple[SimulatedTruth, str]] = {}
-    truths: dict[str, SimulatedTruth] = {}
-    for id_, table in deployment.ingest.items():
-        scenario, _, antenna = table.source.removeprefix("sim://").partition("?")[0].partition("/")
-        if scenario not in truths:
-            truths[scenario] = SimulatedTruth(scenario, seed)
-        found[id_] = (truths[scenario], antenna)
-    return found
+    from rtkmesh.simulation.scenario import truth
+
+    names = {id_: table.source.removeprefix("sim://").partition("?")[0].split("/") for id_, table in deployment.ingest.items()}
+    truths = {scenario: truth(scenario, seed=seed) for scenario, _ in names.values()}
+    return {id_: (truths[scenario], antenna) for id_, (scenario, antenna) in names.items()}
 
 
 class Score:
     """Errors against the truth, latencies and the time to the first fix."""
 
-    def __init__(self, truth: dict[str, tuple[SimulatedTruth, str]]) -> None:
-        self._truth = truth
+    def __init__(self, truth: Callable[[], dict[str, tuple[TruthAt, str]]]) -> None:
+        self._load_truth = truth
+        self._truth: dict[str, tuple[TruthAt, str]] = {}
         self.epochs = self.fixes = 0
         self._started_s = time.monotonic()
         self._first: GpsTime | None = None
@@ -153,6 +135,10 @@ class Score:
         self._errors: list[tuple[float, float, float]] = []
         self._headings: list[float] = []
         self._latencies: list[float] = []
+
+    def prepare(self) -> None:
+        """Load the truth: it needs the engine, whose import would hold up the start of the processes."""
+        self._truth = self._load_truth()
 
     def solution(self, id_: str, message: SolutionMessage, latency_ms: float) -> None:
         """Take a solution of the positioning solver."""
@@ -178,16 +164,16 @@ class Score:
 
     def position_error(self, _id: str, message: SolutionMessage) -> tuple[float, float, float] | None:
         """Return the error of the position, or of the moving baseline, east, north and up in metres."""
+        from rtkmesh.gnss.frames import enu_from_ecef_at
+
         rover, base = self._truth.get(message.rover), self._truth.get(message.base)
-        if rover is None or not math.isfinite(message.baseline_ecef_m[0] if message.mode == "moving-base" else message.position_ecef_m[0]):
+        moving = message.mode == "moving-base"
+        found_ecef_m = message.baseline_ecef_m if moving else message.position_ecef_m
+        if rover is None or (moving and base is None) or not math.isfinite(found_ecef_m[0]):
             return None
-        here = rover[0].at(message.week, message.tow_s).antennas_ecef_m
-        true_ecef_m, found = here[rover[1]], message.position_ecef_m
-        if message.mode == "moving-base":
-            if base is None:
-                return None
-            true_ecef_m, found = here[rover[1]] - here[base[1]], message.baseline_ecef_m
-        east, north, up = enu_from_ecef_at(here[rover[1]]) @ (np.array(found) - true_ecef_m)
+        there = rover[0](_true_time(message)).antennas_ecef_m
+        true_ecef_m = there[rover[1]] - there[base[1]] if moving and base is not None else there[rover[1]]
+        east, north, up = enu_from_ecef_at(there[rover[1]]) @ (np.array(found_ecef_m) - true_ecef_m)
         return float(east), float(north), float(up)
 
     def heading_error(self, _id: str, message: AttitudeMessage) -> float | None:
@@ -195,7 +181,7 @@ class Score:
         if not math.isfinite(message.heading_rad) or not self._truth:
             return None
         truth, _ = next(iter(self._truth.values()))
-        difference = message.heading_rad - truth.at(message.week, message.tow_s).heading_rad
+        difference = message.heading_rad - truth(GpsTime(message.week, message.tow_s)).heading_rad
         return math.degrees(math.remainder(difference, math.tau))
 
     def note(self) -> str:
@@ -243,6 +229,12 @@ def in_words(summary: dict[str, Any]) -> str:
         f"{summary['processes']} processes, {summary['restarts']} restarts",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _true_time(message: SolutionMessage) -> GpsTime:
+    """Return when the rover's signals really were received: the epoch's tag is of the receiver's clock."""
+    clock_s = message.receiver_clock_s if math.isfinite(message.receiver_clock_s) else 0.0
+    return GpsTime(message.week, message.tow_s) + -clock_s
 
 
 def _rms(values: NDArray[np.float64]) -> float:

@@ -75,6 +75,7 @@ class Foreground:
     ends: Ending = field(default=lambda _: None)
     board: Board = field(default_factory=Board)
     view: View | None = None
+    prepare: Callable[[], None] | None = None  # what the view needs and takes time to import
     reason: str = ""
     seconds: float = 0.0
     rows: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
@@ -152,6 +153,8 @@ class Foreground:
 
     def _watch(self, display: Display | None) -> None:
         """Take messages, draw, and see whether it is enough (in its own thread: a slow terminal must not hold up control)."""
+        if self.prepare is not None:
+            self.prepare()
         next_s = 0.0
         while not self._done.is_set():
             self.board.take(0.1)

@@ -153,21 +153,20 @@ class Keeper:
             child.signal(signal.SIGTERM if action.verb is Verb.TERMINATE else signal.SIGKILL)
 
     def _spawn(self, id_: str) -> None:
+        """Start a process. Under the lock: no command may come between the decision and its deed."""
         with self._lock:
             record = self._supervisor.record(id_)
-        if record is None:
-            return
-        try:
-            child = Child(record.spec, self._line)
-        except OSError as error:
-            with self._lock:
+            if record is None or not record.wanted:
+                return
+            try:
+                child = Child(record.spec, self._line)
+            except OSError as error:
                 self._supervisor.not_spawned(id_, str(error), self._clock_s())
-            return
+                return
+            self._supervisor.spawned(id_, child.pid, self._clock_s())
         self._children[id_] = child
         for descriptor in child.descriptors():
             self._selector.register(descriptor, selectors.EVENT_READ, child)
-        with self._lock:
-            self._supervisor.spawned(id_, child.pid, self._clock_s())
 
     def _wait(self, timeout_s: float) -> None:
         if any(child.exit_descriptor is None for child in self._children.values()):

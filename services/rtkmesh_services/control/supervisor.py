@@ -153,11 +153,13 @@ class Supervisor:
         self._open = True
 
     def spawned(self, id: str, pid: int, now_s: float) -> None:  # noqa: A002
-        """Note the start of a process."""
+        """Note the start of a process. One that is not wanted any more by now is stopped at once."""
         record = self._records[id]
         record.pid, record.started_s, record.heartbeat_s = pid, now_s, NEVER
         record.state, record.reason = ProcessState.STARTING, ""
         record.killed = record.hung = record.terminated = False
+        if not record.wanted:
+            _ask_to_stop(record, now_s, "stopped while it was started")
 
     def not_spawned(self, id: str, why: str, now_s: float) -> None:  # noqa: A002
         """Note that a process could not be started."""

@@ -9,10 +9,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from rtkmesh.codecs.framing import Framer
-from rtkmesh.codecs.messages import DecodingCounters, FramingCounters, Message, Protocol
+from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message, Protocol
 from rtkmesh.codecs.rinex_navigation import read_navigation
 from rtkmesh.codecs.rinex_observation import ObservationReader
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
@@ -47,8 +47,9 @@ class Recording(ABC):
     ``position`` of ``size`` bytes have been read (of the file as it is on disk where that can be told).
     """
 
-    def __init__(self, path: Path, kind: RecordingKind, size: int) -> None:
+    def __init__(self, path: Path, kind: RecordingKind, size: int, file: BinaryIO | None = None) -> None:
         self.path, self.kind, self.size = path, kind, size
+        self._file = file
 
     @property
     @abstractmethod
@@ -59,6 +60,11 @@ class Recording(ABC):
     def messages(self) -> Iterator[Message]:
         """Yield the engine messages in stream order."""
 
+    def parts(self) -> Iterator[tuple[Frame | None, list[Message]]]:
+        """Yield each frame with its messages; text has no frames."""
+        for message in self.messages():
+            yield None, [message]
+
     @property
     @abstractmethod
     def decoding(self) -> DecodingCounters:
@@ -66,13 +72,15 @@ class Recording(ABC):
 
     def close(self) -> None:
         """Give the file back; needed only where ``messages`` was not read to its end."""
+        if self._file is not None:
+            self._file.close()
 
 
 class RawRecording(Recording):
     """A log of a receiver's bytes."""
 
     def __init__(self, path: Path, kind: RecordingKind, opened: "_Opened", options: StreamOptions) -> None:
-        super().__init__(path, kind, path.stat().st_size)
+        super().__init__(path, kind, path.stat().st_size, opened.file)
         self._opened = opened
         self._decoder = StreamDecoder(options)
 
@@ -101,14 +109,14 @@ class RawRecording(Recording):
 
     def messages(self) -> Iterator[Message]:
         """Yield the engine messages in stream order."""
-        for chunk in self.chunks():
-            for _, messages in self._decoder.feed(chunk):
-                yield from messages
-        yield from self._decoder.flush()
+        for _, messages in self.parts():
+            yield from messages
 
-    def close(self) -> None:
-        """Give the file back."""
-        self._opened.file.close()
+    def parts(self) -> Iterator[tuple[Frame | None, list[Message]]]:
+        """Yield each whole frame with its messages, at the end what was left unfinished."""
+        for chunk in self.chunks():
+            yield from self._decoder.feed(chunk)
+        yield None, self._decoder.flush()
 
 
 class ObservationRecording(Recording):
@@ -139,7 +147,7 @@ class NavigationRecording(Recording):
 
     def __init__(self, path: Path, text: bytes) -> None:
         super().__init__(path, RecordingKind.NAVIGATION, len(text))
-        self._file = read_navigation(text)
+        self._content = read_navigation(text)
         self._read = 0
 
     @property
@@ -150,13 +158,13 @@ class NavigationRecording(Recording):
     @property
     def decoding(self) -> DecodingCounters:
         """What was decoded, ignored and rejected."""
-        return self._file.counters
+        return self._content.counters
 
     def messages(self) -> Iterator[Message]:
         """Yield ionosphere parameters, then ephemerides in the order of the file."""
         self._read = self.size
-        yield from self._file.klobuchar
-        yield from self._file.ephemerides
+        yield from self._content.klobuchar
+        yield from self._content.ephemerides
 
 
 class _Opened:

@@ -1,13 +1,13 @@
 """Threads that play recordings and simulated receivers into the work loop, paced by a clock and by their consumers."""
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from rtkmesh.codecs.messages import Message
+from rtkmesh.codecs.messages import Frame, Message
 from rtkmesh.codecs.stream import StreamOptions
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
@@ -24,9 +24,9 @@ Put = Callable[[Any], bool]
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """A message of a recording on its way to the work loop."""
+    """A frame or a message of a recording on its way to the work loop."""
 
-    message: Message
+    item: Frame | Message
     mono_ns: int
 
 
@@ -68,23 +68,25 @@ class Replay:
             return
         self._put(LinkReport(LinkState.CONNECTED, str(self._recording.path)))
         try:
-            for message in self._recording.messages():
-                if not self._send(message, stopping):
+            for frame, messages in self._recording.parts():
+                if not self._send_all(messages if frame is None else [frame, *messages], stopping):
                     return
         except SourceError as error:
             self._put(LinkReport(LinkState.ERROR, str(error)))
         self._put(Ended())
 
-    def _send(self, message: Message, stopping: threading.Event) -> bool:
-        if isinstance(message, Epoch):
-            if not self._gate.wait(self._sequence, message.time, stopping):
-                return False
-            self._pace.wait(message.time, stopping)
-        if is_numbered(message):
-            self._sequence += 1
-        while not self._put(Played(message, self._clock.mono_ns())):
-            if stopping.is_set():
-                return False
+    def _send_all(self, items: Sequence[Frame | Message], stopping: threading.Event) -> bool:
+        """Send a frame and its messages when the consumers and the clock allow it; False when the process is to end."""
+        for item in items:
+            if isinstance(item, Epoch):
+                if not self._gate.wait(self._sequence, item.time, stopping):
+                    return False
+                self._pace.wait(item.time, stopping)
+            if not isinstance(item, Frame) and is_numbered(item):
+                self._sequence += 1
+            while not self._put(Played(item, self._clock.mono_ns())):
+                if stopping.is_set():
+                    return False
         return not stopping.is_set()
 
 
@@ -138,6 +140,8 @@ class Simulation:
             if stopping.wait(max(0.0, epoch.time - gps_now(self._clock))):
                 return
             self._sink(Chunk(epoch.data, self._clock.mono_ns()))
+            if stopping.wait(0.4 / rate_hz):  # this epoch is to be solved before the next one is computed
+                return
 
 
 def gps_now(clock: Clock) -> GpsTime:

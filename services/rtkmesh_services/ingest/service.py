@@ -1,10 +1,11 @@
 """The ingest role: one receiver's bytes in, checked frames, epochs, ephemerides and reference position out."""
 
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rtkmesh.codecs.messages import Message
+from rtkmesh.codecs.messages import Frame, Message
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.gnss.ephemeris import ReceiverFix
 from rtkmesh_schemas.command import Reply, Request
@@ -33,7 +34,7 @@ class IngestService(Service):
     """One receiver. All decoding and publishing happens in the work loop; links and replays have threads of their own."""
 
     role: ClassVar[Role] = Role.INGEST
-    operations: ClassVar[dict[str, str]] = {"restart": "close the source and open it again"}
+    operations: ClassVar[Mapping[str, str]] = {"restart": "close the source and open it again"}
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -67,8 +68,7 @@ class IngestService(Service):
         if isinstance(item, Chunk):
             self._decode(item)
         elif isinstance(item, Played):
-            self._heard_ns = item.mono_ns
-            self._publish(item.message, item.mono_ns)
+            self._play_item(item)
         elif isinstance(item, LinkReport):
             self._report_link(item)
         elif isinstance(item, Ended):
@@ -180,6 +180,14 @@ class IngestService(Service):
                 self._publish(message, chunk.mono_ns)
         now = self.context.clock.mono_ns()
         self._decode_ms.add(now, (now - begun) * 1e-6)
+
+    def _play_item(self, played: Played) -> None:
+        self._heard_ns = played.mono_ns
+        if isinstance(played.item, Frame):
+            self._bytes += len(played.item.data)
+            self._publisher.frame(played.item, played.mono_ns)
+        else:
+            self._publish(played.item, played.mono_ns)
 
     def _publish(self, message: Message, mono_ns: int) -> None:
         if isinstance(message, ReceiverFix):

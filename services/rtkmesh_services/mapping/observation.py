@@ -35,7 +35,10 @@ def observation_of(epoch: Epoch, *, source: str, start_id: str, sequence: int, m
 
 
 def epoch_of(message: Observation) -> Epoch:
-    """Return the epoch of an observation; DecodeError if its columns do not fit together."""
+    """Return the epoch of an observation, in arrays of its own; DecodeError if its columns do not fit together.
+
+    Read-only views of the message would make numba compile every kernel a second time.
+    """
     count = len(message.satellite)
     try:
         columns: dict[str, NDArray[Any]] = {
@@ -43,7 +46,7 @@ def epoch_of(message: Observation) -> Epoch:
             "signal": np.array([_signal_number(code) for code in message.signal], dtype=np.int16),
         }
         for name, dtype in _RAW:
-            columns[name] = np.frombuffer(getattr(message, name), dtype=dtype).astype(dtype.newbyteorder("="), copy=False)
+            columns[name] = np.frombuffer(getattr(message, name), dtype=dtype).astype(dtype.newbyteorder("="))
     except ValueError as error:
         raise DecodeError(f"observation of {message.source}: {error}") from error
     if wrong := [name for name, column in columns.items() if len(column) != count]:

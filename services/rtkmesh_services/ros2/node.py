@@ -6,12 +6,13 @@
 
 import threading
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any, Final
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistWithCovarianceStamped
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
@@ -107,8 +108,9 @@ class BridgeNode:
         self._publishers[name, topic] = self._node.create_publisher(kind, f"/{name}/{topic}", QOS_DEPTH)
 
     def _spin(self) -> None:
-        while self._context.ok():
-            self._executor.spin_once(timeout_sec=0.2)
+        with suppress(ExternalShutdownException):
+            while self._context.ok():
+                self._executor.spin_once(timeout_sec=0.2)
 
 
 def _trigger(name: str, operation: str, command: Command) -> Callable[[Any, Any], Any]:

@@ -150,7 +150,7 @@ class Bus(ABC):
 
     @abstractmethod
     def matched(self, stream: Stream, **fields: str) -> bool:
-        """Return whether somebody listens to this process's key of ``stream``: skip costly encodings when not."""
+        """Return whether somebody listens to this process's key of ``stream``, as far as is known: skip costly encodings when not."""
 
     @abstractmethod
     def subscribe(self, expression: str, on_sample: Callable[[Sample], None], *, history: bool = False) -> Handle:

@@ -79,18 +79,15 @@ class MemoryBus(Bus):
     def get(self, selector: str, *, payload: bytes = b"", encoding: str = "", timeout_s: float) -> list[Answer]:  # noqa: ARG002  time stands still here
         """See ``Bus``; ``timeout_s`` is not waited for: steps of the network's ``on_wait`` are."""
         expression, _, parameters = selector.partition("?")
-        asked = [
-            (_MemoryQuery(key, payload, encoding, parameters), on_query)
-            for key, on_query in tuple(self.network.queryables)
-            if matches(expression, key)
-        ]
-        for query, on_query in asked:
-            on_query(query)
+        asked = [(key, on_query) for key, on_query in tuple(self.network.queryables) if matches(expression, key)]
+        answers: list[list[Answer]] = [[] for _ in asked]
+        for (key, on_query), answer in zip(asked, answers, strict=True):
+            on_query(_MemoryQuery(key, payload, encoding, parameters, answer))
         for _ in range(_PATIENCE):
-            if self.network.on_wait is None or all(query.answered for query, _ in asked):
+            if self.network.on_wait is None or all(answers):
                 break
             self.network.on_wait()
-        return [query.answer or Answer(False, "", b"Timeout", "", timed_out=True) for query, _ in asked]
+        return [answer[0] if answer else Answer(False, "", b"Timeout", "", timed_out=True) for answer in answers]
 
     def live_token(self, role: str, id: str) -> Handle:  # noqa: A002
         """See ``Bus``."""
@@ -168,7 +165,9 @@ class _Undo(Handle):
 
 
 class _MemoryQuery(Query):
-    answer: Answer | None = None
+    def __init__(self, key: str, payload: bytes, encoding: str, parameters: str, answers: list[Answer]) -> None:
+        super().__init__(key, payload, encoding, parameters)
+        self._answers = answers
 
     def _send(self, payload: bytes, encoding: str, *, error: bool) -> None:
-        self.answer = Answer(not error, "" if error else self.key, payload, encoding)
+        self._answers.append(Answer(not error, "" if error else self.key, payload, encoding))

@@ -179,8 +179,9 @@ class Guard:
     def _watch_end(self) -> None:
         self._armed.wait()
         threading.Event().wait(self._end_s)
-        sys.stderr.write("the process did not end in time and is cut off\n")
+        sys.stderr.write("the process did not end in time and is cut off; its threads were at:\n")
         sys.stderr.flush()
+        faulthandler.dump_traceback()
         os._exit(EXIT_CUT)
 
     def _thread_crashed(self, args: threading.ExceptHookArgs) -> None:

@@ -28,7 +28,9 @@ LEASE_MS: Final = 2000
 CLOSE_S: Final = 1.0
 _RETRY: Final = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _HEARTBEAT_S: Final = 0.5  # after a cached message: lets subscribers find that they missed the last one
-_QUEUE_BATCHES: Final = 16  # of 64 KiB, per priority: bursts of a replay fit; DROP beyond
+_QUEUE_BATCHES: Final = 16  # of 64 KiB, per priority, Zenoh's most: the bursts of a replay fit
+_WAIT_CLIENT_US: Final = 100_000  # before a message is dropped: the hub always reads, so a process only waits for a hub that hangs
+_WAIT_HUB_US: Final = 1_000  # the hub must not wait for one slow subscriber: all others would
 _QUEUES: Final = ("real_time", "data_high", "data", "data_low", "background")
 _PRIORITIES: Final = {
     Priority.REAL_TIME: zenoh.Priority.REAL_TIME,
@@ -60,6 +62,7 @@ def session_config(
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         "transport/link/tx/keep_alive": 4,
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _WAIT_HUB_US if mode == "router" else _WAIT_CLIENT_US,
         "transport/link/tx/queue/size": dict.fromkeys(_QUEUES, _QUEUE_BATCHES),
         "queries_default_timeout": 2000,
     }
@@ -132,7 +135,10 @@ class ZenohBus(Bus):
         """See ``Bus``."""
         try:
             publisher = self._publisher(self._key(self.id, stream, fields), stream)
-            return not isinstance(publisher, zenoh.Publisher) or publisher.matching_status
+            if not isinstance(publisher, zenoh.Publisher):
+                return True  # an advanced publisher cannot tell
+            status: Any = publisher.matching_status  # the stub says bool
+            return bool(status.matching)
         except zenoh.ZError:  # closed, perhaps at this moment
             return False
 

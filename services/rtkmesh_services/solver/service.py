@@ -1,6 +1,7 @@
 """The solver role: one solver instance. Streams in, solutions out; commands really act on its engine."""
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import msgspec
@@ -38,7 +39,7 @@ class SolverService(Service):
 
     role: ClassVar[Role] = Role.SOLVER
     tick_s: ClassVar[float] = 0.02  # deadlines of waiting epochs
-    operations: ClassVar[dict[str, str]] = {
+    operations: ClassVar[Mapping[str, str]] = {
         "start": "begin with a fresh filter",
         "stop": "no more solutions; ephemerides are still collected",
         "restart": "stop and start",

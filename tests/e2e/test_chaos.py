@@ -1,0 +1,100 @@
+"""Killing and freezing processes of a running deployment: the others run on, and everything comes back by itself."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import pytest
+from tests.e2e.conftest import Deployment
+
+from rtkmesh_schemas.keys import SOL
+from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_schemas.wire import decode
+from rtkmesh_services.cli.demo import config_path
+
+pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+IDS = ("rover", "rover2", "base", "rtk", "heading_rtk", "heading", "hub")
+FIX = 1
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """The kernels are compiled before the clock of a test runs."""
+    subprocess.run([sys.executable, "-m", "rtkmesh_services.cli.main", "warm"], check=True, capture_output=True, timeout=280)
+
+
+class Fixes:
+    """When the solver ``rtk`` last gave a fix."""
+
+    def __init__(self, deployment: Deployment) -> None:
+        self.last_s = 0.0
+        self.handle = deployment.bus.subscribe(SOL.key("rtk"), self._take)
+
+    def _take(self, sample: object) -> None:
+        message = decode(SolutionMessage, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
+        if message.status == FIX:
+            self.last_s = time.monotonic()
+
+    def since(self, begun_s: float) -> bool:
+        return self.last_s > begun_s
+
+
+@pytest.fixture
+def fleet(up: Callable[..., Deployment]) -> Deployment:
+    """The demo's deployment, fixing."""
+    text = config_path("demo.toml").read_text().partition("[hub]")[2].partition("\n\n")[2]
+    deployment = up(text)
+    deployment.until(deployment.all_running, 60.0)
+    fixes = Fixes(deployment)
+    deployment.until(lambda: fixes.since(0.0), 60.0)
+    return deployment
+
+
+def test_every_process_killed_in_turn_comes_back_and_the_others_run_on(fleet: Deployment) -> None:
+    fixes = Fixes(fleet)
+    took_s: dict[str, float] = {}
+    for id_ in IDS:
+        before = fleet.until(fleet.all_running, 60.0)
+        begun_s = time.monotonic()
+        os.kill(before[id_]["pid"], signal.SIGKILL)
+        fleet.until(lambda: (row := fleet.rows().get(id_)) and row["pid"] not in (0, before[id_]["pid"]), 20.0)  # noqa: B023  used at once
+        respawned_s = time.monotonic()
+        fleet.until(lambda: fixes.since(respawned_s), 30.0)  # noqa: B023  used at once
+        took_s[id_] = fixes.last_s - begun_s
+        after = fleet.until(fleet.all_running, 30.0)
+        assert {name for name in after if after[name]["pid"] != before[name]["pid"]} == {id_}
+        assert after[id_]["restarts"] == 1
+    print({id_: round(seconds, 2) for id_, seconds in took_s.items()})
+    assert max(took_s.values()) < 20.0
+
+
+def test_random_kills_in_a_row_are_all_repaired(fleet: Deployment) -> None:
+    chosen = random.Random(20261122)
+    fixes = Fixes(fleet)
+    for _ in range(4):
+        rows = fleet.rows()
+        for id_ in chosen.sample(IDS[:-1], 2):
+            if pid := rows[id_]["pid"]:
+                os.kill(pid, signal.SIGKILL)
+        begun_s = time.monotonic()
+        fleet.until(fleet.all_running, 60.0)
+        fleet.until(lambda: fixes.since(begun_s), 60.0)  # noqa: B023  used at once
+    assert fleet.interrupt() == 0
+    assert fleet.left() == []
+
+
+def test_frozen_solver_is_replaced_and_the_frozen_one_is_gone(fleet: Deployment) -> None:
+    fixes = Fixes(fleet)
+    before = fleet.until(fleet.all_running, 30.0)
+    os.kill(before["rtk"]["pid"], signal.SIGSTOP)
+    row = fleet.until(lambda: (row := fleet.rows()["rtk"]) and row["pid"] not in (0, before["rtk"]["pid"]) and row, 30.0)
+    assert row["restarts"] == 1
+    begun_s = time.monotonic()
+    fleet.until(lambda: fixes.since(begun_s), 30.0)
+    assert any("hung: no heartbeat" in event.get("reason", "") for event in fleet.events)
+    after = fleet.until(fleet.all_running, 30.0)
+    assert {name for name in after if after[name]["pid"] != before[name]["pid"]} == {"rtk"}
