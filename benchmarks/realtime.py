@@ -28,14 +28,14 @@ TRUTH_ECEF_M = (-4467074.3577, 2683011.9038, -3667008.2845)
 
 # name -> (epochs per second, rt_load pattern, further options of rt_load.run)
 CASES = {
-    "in step, 10 Hz": (10, "step", {}),
+    "in step 10 Hz": (10, "step", {}),
     "base 50 ms early": (5, "early:50", {}),
     "base 5 ms late": (5, "late:5", {}),
     "base 60 ms late": (5, "late:60", {}),
     "base 260 ms late": (5, "late:260", {}),
     "base twice": (5, "dup:50", {}),
     "bursts of five": (5, "burst:5", {}),
-    "bursts, 60 ms late": (5, "burst:5:60", {}),
+    "bursts 60 ms late": (5, "burst:5:60", {}),
     "random 0-400 ms": (5, "jitter:0:400", {}),
     "every tenth late": (5, "kth:10:310:60", {}),
     "rover away 3 s": (5, "step", {"outages": [("rover", 8.0, 3.0)]}),

@@ -100,7 +100,7 @@ def test_msm_values_equal(data: Path):
     for frame in sample(data, MSM):
         parsed = vars(RTCMReader.parse(frame.data))
         channels = np.full(64, NO_CHANNEL, np.int8)
-        result = decode_msm(np.frombuffer(frame.data[3:-3], np.uint8), int(frame.kind), channels)
+        result = decode_msm(frame.data[3:-3], int(frame.kind), channels)
         assert result.observations is not None
         expected = [row for row in msm_rows(int(frame.kind), parsed, channels) if np.isfinite(row[2:5]).any()]
         rows, values = result.observations.cells.T[:, :2].tolist(), result.observations.values[:4].T
@@ -119,7 +119,7 @@ def test_legacy_values_equal(data: Path):
     kinds, signals = Counter[str](), Counter[str]()
     for frame in sample(data, frozenset(LEGACY)):
         parsed = vars(RTCMReader.parse(frame.data))
-        observations = LegacyDecoder(np.full(64, NO_CHANNEL, np.int8)).decode(np.frombuffer(frame.data[3:-3], np.uint8), int(frame.kind))
+        observations = LegacyDecoder(np.full(64, NO_CHANNEL, np.int8)).decode(frame.data[3:-3], int(frame.kind))
         assert observations is not None
         glonass = frame.kind == "1012"
         names = (

@@ -187,8 +187,7 @@ def test_short_lock_times_are_powers_of_two():
 def test_truncated_and_random_payloads_are_rejected_not_read_over(cut: int, seed: int):
     """Every length is checked before a bit is read: a payload shorter than its masks demand has a reason, never a value."""
     rng = np.random.default_rng(seed)
-    payload = rng.integers(0, 256, cut, dtype=np.uint8)
-    result = decode_msm(np.concatenate((np.frombuffer(b"\x43\x50", np.uint8), payload)), 1077, np.zeros(64, np.int8))
+    result = decode_msm(b"\x43\x50" + rng.bytes(cut), 1077, np.zeros(64, np.int8))
     assert (result.observations is None) == (result.reason != "")
 
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.keys import SOL_TEXT, Role
 from rtkmesh_services.errors import ServiceError
-from rtkmesh_services.runtime.bus import Bus, endpoints_for
+from rtkmesh_services.runtime.bus import Bus, Sample, endpoints_for
 from rtkmesh_services.runtime.configuration import load_site
 from rtkmesh_services.runtime.process import leave, run_service
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done
@@ -49,13 +49,14 @@ class Misbehaving(Service):
         self.context.subscribe("rtk/*/status", lane="status", latest=True, history=True)
         self.context.bus.subscribe("rtk/*/sol/flood", self._count)
 
-    def _count(self, sample: Any) -> None:
-        self._received += 1
+    def _count(self, sample: Sample) -> None:
+        self._received += len(sample.payload) > 0
 
     def handle(self, item: Any) -> None:
         pass
 
     def tick(self, now_mono_ns: int) -> None:
+        assert now_mono_ns > 0
         todo, self._next = self._next, ""
         if todo == "crash":
             raise RuntimeError("told to crash")

@@ -1,6 +1,7 @@
 """The commands of daily use: what they print, what their exit codes say, how quick they are."""
 
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -154,6 +155,17 @@ def test_the_commands_of_daily_use(site: Any):
     assert {json.loads(line)["value"]["role"] for line in echo.stdout.splitlines()} == {"hub", "solver"}
     nothing = rtkmesh("echo", "p/sol", "--timeout", "0.3", *where)
     assert (nothing.returncode, nothing.stdout) == (124, "")
+
+
+@pytest.mark.e2e
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="without JIT there is nothing to compile")
+def test_warm_compiles_or_loads_the_kernels():
+    """After it all kernels that a deployment uses are in the cache: the second time nothing is compiled."""
+    first = rtkmesh("warm")
+    assert "mode kinematic" in first.stderr
+    second = json.loads(rtkmesh("warm", "--json").stdout)
+    assert second["compiled"] == 0
+    assert second["loaded"] > 30
 
 
 @pytest.mark.e2e

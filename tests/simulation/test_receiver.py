@@ -122,19 +122,19 @@ def test_noise_has_the_size_that_the_receiver_reports():
 
 
 def test_multipath_is_coloured():
-    """Successive errors of 1 s hang together, errors two minutes apart do not."""
+    """Errors 4 s apart hang together, errors two minutes apart do not."""
     options = QUIET._replace(code_multipath_m=1.0)
     pairs = [
         one.epoch.pseudorange_m - two.epoch.pseudorange_m
-        for one, two in zip(run(receiver(signals=options), 240.0), run(receiver(signals=QUIET), 240.0), strict=True)
+        for one, two in zip(run(receiver(signals=options), 240.0, 4.0), run(receiver(signals=QUIET), 240.0, 4.0), strict=True)
         if len(one.epoch) == len(two.epoch)
     ]
     count = min(map(len, pairs))
     assert count > 50
     errors = np.array([p[:count] for p in pairs])
     errors /= errors.std(axis=0)
-    assert np.mean(errors[1:] * errors[:-1]) > 0.9
-    assert abs(np.mean(errors[120:] * errors[:-120])) < 0.4
+    assert np.mean(errors[1:] * errors[:-1]) > 0.75
+    assert abs(np.mean(errors[30:] * errors[:-30])) < 0.4
 
 
 def test_cn0_grows_with_elevation_and_noise_falls():
@@ -228,15 +228,15 @@ def test_random_numbers_belong_to_seed_antenna_and_time():
 
 def test_an_outage_ends_all_arcs():
     """In the dive nothing is seen while submerged, and afterwards every arc is new."""
-    stream = open_stream("dive", "rover", seed=3, rate_hz=1.0, start=START)
+    stream = open_stream("dive", "rover", seed=3, rate_hz=0.5, start=START)
     simulated = stream.receiver()
-    observed = [simulated.observe(tag) for tag in islice(stream.tags(), 130)]
+    observed = [simulated.observe(tag) for tag in islice(stream.tags(), 65)]
     counts = [len(o.epoch) for o in observed]
     dark = [k for k, count in enumerate(counts) if count == 0]
-    assert 14 <= len(dark) <= 32
-    end = max(k for k in dark if k + 6 < len(counts) and counts[k + 1 : k + 6] != [0] * 5)
+    assert 7 <= len(dark) <= 16
+    end = max(k for k in dark if k + 4 < len(counts))
     back = next(o for o in observed[end + 1 :] if len(o.epoch))
-    assert np.all(back.epoch.lock_s < 1.5)
+    assert np.all(back.epoch.lock_s < 2.1)
     assert np.all(back.epoch.flags & SLIP)
 
 

@@ -95,7 +95,7 @@ class Rtcm3Decoder:
         return messages
 
     def _observations(self, payload: bytes, number: int, kind: str) -> list[Epoch]:
-        observations = self._read_observations(np.frombuffer(payload, np.uint8), number, kind)
+        observations = self._read_observations(payload, number, kind)
         if observations is None:
             return []
         self.counters.decoded[kind] += 1
@@ -103,7 +103,7 @@ class Rtcm3Decoder:
         self.counters.epochs += len(epochs)
         return epochs
 
-    def _read_observations(self, payload: NDArray[np.uint8], number: int, kind: str) -> Observations | None:
+    def _read_observations(self, payload: bytes, number: int, kind: str) -> Observations | None:
         if number not in MSM:
             observations = self._legacy.decode(payload, number)
             if observations is None:

@@ -85,7 +85,8 @@ def merge_rows(
     """Sort the rows of one epoch by (satellite, signal), of equal ones the first, and mark slips; return the number of rows.
 
     ``cells`` (4, n) and ``values`` (5, n) are as in Observations. A slip is a lock time below the one in ``memory_s``, or zero twice
-    in a stream that is known to send lock times. Out: ``ids`` (2, n), ``channel``, ``flags``, ``columns`` (5, n); ``order`` is scratch.
+    in a stream that is known to send lock times. Out: ``ids`` (2, n), ``channel``, ``flags``, the first five rows of ``columns``;
+    ``order`` is scratch.
     """
     count = cells.shape[1]
     for i in range(count):  # insertion: messages come almost sorted
@@ -115,20 +116,21 @@ def merge_rows(
 
 def merge_epoch(time: GpsTime, parts: Sequence[Observations], memory: LockMemory) -> Epoch | None:
     """Return the epoch of the messages, None if they hold no observation; of a signal that comes twice the first is kept."""
-    cells = np.concatenate([part.cells for part in parts], axis=1)
-    values = np.concatenate([part.values for part in parts], axis=1)
+    if len(parts) == 1:
+        cells, values = parts[0].cells, parts[0].values
+    else:
+        cells = np.concatenate([part.cells for part in parts], axis=1)
+        values = np.concatenate([part.values for part in parts], axis=1)
     count = cells.shape[1]
     if not count:
         return None
     ids, channel, flags = np.empty((2, count), np.int16), np.empty(count, np.int8), np.empty(count, np.uint8)
-    columns = np.empty((5, count))
+    columns = np.full((7, count), np.nan)  # the last two: what the messages do not say
     order = np.zeros(count, np.int64)
     rows = merge_rows(cells, values, memory.lock_s, memory.used, order, ids, channel, flags, columns)
-    unknown = np.full((2, rows), np.nan)
-    return Epoch(
-        time, ids[0, :rows], ids[1, :rows], channel[:rows], flags[:rows], columns[0, :rows], columns[1, :rows], columns[2, :rows],
-        columns[3, :rows], columns[4, :rows], unknown[0], unknown[1],
-    )  # fmt: skip
+    if rows < count:
+        ids, channel, flags, columns = ids[:, :rows], channel[:rows], flags[:rows], columns[:, :rows].copy()
+    return Epoch(time, ids[0], ids[1], channel, flags, *columns)
 
 
 class Redundancy:

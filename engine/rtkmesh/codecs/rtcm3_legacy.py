@@ -146,14 +146,15 @@ class LegacyDecoder:
         self._channels = channels
         self._last_cyc = np.full((MAX_SATELLITE, 2), np.nan)
 
-    def decode(self, payload: NDArray[np.uint8], number: int) -> Observations | None:
+    def decode(self, payload: bytes, number: int) -> Observations | None:
         """Return the observations of a message, None if it is too short for what it announces."""
         glonass = number in (1010, 1012)
         cells, values = np.empty((4, _MAX_ROWS), np.int16), np.empty((5, _MAX_ROWS))
-        rows = decode_rows(payload, glonass, _WIDTHS[number], _SIGNALS[int(glonass)], self._channels, self._last_cyc, cells, values)
+        view = np.frombuffer(payload, np.uint8)
+        rows = decode_rows(view, glonass, _WIDTHS[number], _SIGNALS[int(glonass)], self._channels, self._last_cyc, cells, values)
         if rows < 0:
             return None
-        head, tag_bits = int.from_bytes(payload[:8].tobytes(), "big"), 27 if glonass else 30
+        head, tag_bits = int.from_bytes(payload[:8], "big"), 27 if glonass else 30
         return Observations(
             GLONASS if glonass else GPS,
             station_id=(head >> 40) & 0xFFF,

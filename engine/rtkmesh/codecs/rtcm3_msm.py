@@ -237,14 +237,15 @@ def decode_cells(
     return OK
 
 
-def decode_msm(payload: NDArray[np.uint8], number: int, channels: NDArray[np.int8]) -> MsmResult:
+def decode_msm(payload: bytes, number: int, channels: NDArray[np.int8]) -> MsmResult:
     """Decode the payload of MSM4 to MSM7 message ``number``; GLONASS ``channels`` (int8 by slot, 64) are read and learned."""
     system, level = SYSTEM_OF_GROUP[number // 10], number % 10
     cells, values, tally = np.empty((4, MAX_CELLS), np.int16), np.empty((5, MAX_CELLS)), np.empty(3, np.int64)
-    status = decode_cells(payload, system, _SIGNAL_ROWS[system], channels, *WIDTHS[level], cells, values, tally)
+    view = np.frombuffer(payload, np.uint8)
+    status = decode_cells(view, system, _SIGNAL_ROWS[system], channels, *WIDTHS[level], cells, values, tally)
     if status != OK:
         return MsmResult(None, REASONS[status], 0, 0)
-    head = int.from_bytes(payload[:8].tobytes(), "big")
+    head = int.from_bytes(payload[:8], "big")
     rows, unknown_cells, unknown_channels = tally.tolist()
     more, tag, station_id = bool((head >> 9) & 1), (head >> 10) & 0x3FFFFFFF, (head >> 40) & 0xFFF
     observations = Observations(system, station_id, tag, more, MSM_PRIORITY, cells[:, :rows], values[:, :rows])

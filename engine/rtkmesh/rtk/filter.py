@@ -174,27 +174,43 @@ def normal_equations(observations: Matrix, places: Indices, dynamic: int, groups
 
 
 @kernel
+def add_rows(target: Vector, coefficients: Vector, rows: Matrix, first: int, last: int, column: int) -> None:
+    """Add to ``target`` the sum of coefficients[k] times rows[k, column:] over first <= k < last.
+
+    Four rows at a time, so that the target is read and written less often.
+    """
+    m, k = len(target), first
+    while k + 4 <= last:
+        fa, fb, fc, fd = coefficients[k], coefficients[k + 1], coefficients[k + 2], coefficients[k + 3]
+        a, b, c, d = rows[k, column:], rows[k + 1, column:], rows[k + 2, column:], rows[k + 3, column:]
+        for j in range(m):
+            target[j] += (fa * a[j] + fb * b[j]) + (fc * c[j] + fd * d[j])
+        k += 4
+    while k < last:
+        fa, a = coefficients[k], rows[k, column:]
+        for j in range(m):
+            target[j] += fa * a[j]
+        k += 1
+
+
+@kernel
 def factor(P: Matrix, U: Matrix) -> int:
     """Write the upper triangular U with P = U'U."""
     n = P.shape[0]
+    minus = np.empty(n)
     for i in range(n):
-        for j in range(i):
-            U[i, j] = 0.0
+        row = U[i, i:]
+        for k in range(i):
+            U[i, k] = 0.0
+            minus[k] = -U[k, i]
         for j in range(i, n):
             U[i, j] = P[i, j]
-    for k in range(n):
-        if not U[k, k] > 0.0:
+        add_rows(row, minus, U, 0, i, i)
+        if not row[0] > 0.0:
             return NOT_POSITIVE_DEFINITE
-        pivot = 1.0 / sqrt(U[k, k])
-        row = U[k]
-        for j in range(k, n):
+        pivot = 1.0 / sqrt(row[0])
+        for j in range(n - i):
             row[j] *= pivot
-        for i in range(k + 1, n):
-            f = row[i]
-            if f != 0.0:
-                target = U[i]
-                for j in range(i, n):
-                    target[j] -= f * row[j]
     return OK
 
 
@@ -208,23 +224,16 @@ def _inner(U: Matrix, N: Matrix, M: Matrix) -> None:
         for j in range(n):
             columns[j, i] = U[i, j]
     for k in range(n):
-        target = T[k]
         for j in range(n):
             f = N[k, j]
             if f != 0.0:
-                source = columns[j]
+                target, source = T[k, : j + 1], columns[j, : j + 1]
                 for i in range(j + 1):
                     target[i] += f * source[i]
     for i in range(n):
-        target = M[i]
         for j in range(n):
-            target[j] = 0.0
-        for k in range(i, n):
-            f = U[i, k]
-            if f != 0.0:
-                source = T[k]
-                for j in range(i + 1):
-                    target[j] += f * source[j]
+            M[i, j] = 0.0
+        add_rows(M[i, : i + 1], U[i], T, i, n, 0)
         M[i, i] += 1.0
 
 
@@ -235,43 +244,33 @@ def posterior(P: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int
     With P = U'U, M = I + U N U' = F'F (F lower triangular) and V = F^-T U (upper triangular), P_new = V'V.
     """
     n = len(b)
-    U, F = np.empty((n, n)), np.empty((n, n))
+    U, F, minus = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     if factor(P, U) != OK:
         return NOT_POSITIVE_DEFINITE
     _inner(U, N, F)
     for k in range(n - 1, -1, -1):
-        if not F[k, k] > 0.0:
+        row = F[k, : k + 1]
+        for i in range(k + 1, n):
+            minus[i] = -F[i, k]
+        add_rows(row, minus, F, k + 1, n, 0)
+        if not row[k] > 0.0:
             return NOT_POSITIVE_DEFINITE
-        pivot = 1.0 / sqrt(F[k, k])
-        row = F[k]
+        pivot = 1.0 / sqrt(row[k])
         for j in range(k + 1):
             row[j] *= pivot
-        for i in range(k):
-            f = row[i]
-            target = F[i]
-            for j in range(i + 1):
-                target[j] -= f * row[j]
     for k in range(n - 1, -1, -1):
-        row = U[k]
         for i in range(k + 1, n):
-            f = F[i, k]
-            if f != 0.0:
-                source = U[i]
-                for j in range(i, n):
-                    row[j] -= f * source[j]
-        pivot = 1.0 / F[k, k]
-        for j in range(k, n):
+            minus[i] = -F[i, k]
+        row, pivot = U[k, k:], 1.0 / F[k, k]
+        add_rows(row[1:], minus, U, k + 1, n, k + 1)
+        for j in range(n - k):
             row[j] *= pivot
-    P_new[:, :] = 0.0
-    for k in range(n):
-        row = U[k]
-        for i in range(k, n):
-            f = row[i]
-            if f != 0.0:
-                target = P_new[i]
-                for j in range(i, n):
-                    target[j] += f * row[j]
     for i in range(n):
+        for j in range(i, n):
+            P_new[i, j] = 0.0
+        for k in range(i + 1):
+            minus[k] = U[k, i]
+        add_rows(P_new[i, i:], minus, U, 0, i + 1, i)
         for j in range(i + 1, n):
             P_new[j, i] = P_new[i, j]
     for i in range(n):

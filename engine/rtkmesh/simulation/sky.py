@@ -85,14 +85,6 @@ def issues(time: GpsTime) -> tuple[int, int, int, int]:
     return gps, galileo, beidou, _glonass_issue(time)
 
 
-@lru_cache(maxsize=4)
-def _rows_of_issues(_issues: tuple[int, int, int, int], time: GpsTime) -> Matrix:
-    table = EphemerisTable()
-    for satellite in SATELLITES.tolist():
-        table.add(broadcast(satellite, time))
-    return table.select(SATELLITES, time)
-
-
 class Sky:
     """The exact ephemerides of all SATELLITES as rows for the orbit kernels, kept until the next issue of any."""
 
@@ -104,7 +96,10 @@ class Sky:
         """Return one row (n, ROW) per satellite of SATELLITES."""
         now = issues(time)
         if now != self._issues:
-            self._issues, self._rows = now, _rows_of_issues(now, time)
+            table = EphemerisTable()
+            for satellite in SATELLITES.tolist():
+                table.add(broadcast(satellite, time))
+            self._issues, self._rows = now, table.select(SATELLITES, time)
         return self._rows
 
 

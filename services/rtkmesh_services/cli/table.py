@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -39,6 +40,47 @@ _COLOURS: Final = {
     "unavailable": "dim",
 }
 _DIAGONAL: Final = (0, 4, 8)  # of a row-major 3x3
+_WIDE: Final = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table. Those of the highest ``rank`` go first when the terminal is too narrow."""
+
+    name: str
+    rank: int = 0
+    right: bool = False
+
+
+_SOLUTIONS: Final = (
+    Column("solver"),
+    Column("state"),
+    Column("position / baseline", 1),
+    Column("sigma H, V m", 4, right=True),
+    Column("age s", 6, right=True),
+    Column("ratio", 7, right=True),
+    Column("sats", 5, right=True),
+    Column("latency ms", 3, right=True),
+)
+_ATTITUDES: Final = (
+    Column("attitude"),
+    Column("state"),
+    Column("integrity", 4),
+    Column("heading deg", 1, right=True),
+    Column("pitch deg", 3, right=True),
+    Column("length error m", 6, right=True),
+    Column("latency ms", 5, right=True),
+)
+_PROCESSES: Final = (
+    Column("process"),
+    Column("role", 3),
+    Column("process is"),
+    Column("service is", 1),
+    Column("pid", 6, right=True),
+    Column("restarts", 4, right=True),
+    Column("up s", 5, right=True),
+    Column("says", 2),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,17 +101,18 @@ class View:
     processes: Callable[[], list[dict[str, Any]]] | None = None
     note: Callable[[], str] | None = None
     started_s: float = field(default_factory=time.monotonic)
+    width: int = _WIDE
 
     def render(self) -> RenderableType:
         """Return the whole picture of this moment."""
         now_ns = time.monotonic_ns()
         parts: list[RenderableType] = [self._headline()]
         if self.board.solutions:
-            parts.append(solution_table(self.board.solutions, now_ns, self.truth))
+            parts.append(solution_table(self.board.solutions, now_ns, self.truth, self.width))
         if self.board.attitudes:
-            parts.append(attitude_table(self.board.attitudes, now_ns, self.truth))
+            parts.append(attitude_table(self.board.attitudes, now_ns, self.truth, self.width))
         rows = self.processes() if self.processes is not None else None
-        parts.append(process_table(rows if rows is not None else supervised(self.board), self.board.statuses, now_ns))
+        parts.append(process_table(rows if rows is not None else supervised(self.board), self.board.statuses, now_ns, self.width))
         return Group(*parts)
 
     def _headline(self) -> Text:
@@ -99,6 +142,7 @@ class Display:
         """Draw if it is time."""
         if now_s >= self._next_s:
             self._next_s = now_s + 1.0 / REFRESH_HZ
+            self._view.width = self._console.width
             self._live.update(self._view.render(), refresh=True)
 
     def stop(self) -> None:
@@ -107,40 +151,35 @@ class Display:
         self._live.stop()
 
 
-def solution_table(tracks: Mapping[str, Track[SolutionMessage]], now_ns: int, truth: Truth | None) -> Table:
+def solution_table(tracks: Mapping[str, Track[SolutionMessage]], now_ns: int, truth: Truth | None = None, width: int = _WIDE) -> Table:
     """Return the table of the solvers: moving baselines show the baseline, all others the position."""
-    columns = ["solver", "state", "position / baseline", "sigma H, V m", "age s", "ratio", "sats", "latency ms"]
-    table = _table([*columns, *(["error E, N, U m"] if truth else [])], right={3, 4, 5, 6, 7, 8})
+    rows: list[list[Text]] = []
     for id_, track in sorted(tracks.items()):
         message = track.newest
-        state = _state(message.status_name, track, now_ns)
-        sigma = _pair(*_sigma(message))
-        satellites = f"{message.satellites_used}/{message.satellites_rover}"
-        cells: list[Any] = [
+        cells = _cells(
             id_,
-            state,
+            _state(message.status_name, track, now_ns),
             _place(message),
-            sigma,
+            _pair(*_sigma(message)),
             _number(message.age_s, 1),
             _number(message.ratio, 1),
-            satellites,
+            f"{message.satellites_used}/{message.satellites_rover}",
             _latency(track, now_ns),
-        ]
+        )
         if truth:
             error = truth.position(id_, message)
-            cells.append("-" if error is None else " ".join(f"{part:+.3f}" for part in error))
-        table.add_row(*cells)
-    return table
+            cells += _cells("-" if error is None else " ".join(f"{part:+.3f}" for part in error))
+        rows.append(cells)
+    return _table([*_SOLUTIONS, *([Column("error E, N, U m", 2, right=True)] if truth else [])], rows, width)
 
 
-def attitude_table(tracks: Mapping[str, Track[AttitudeMessage]], now_ns: int, truth: Truth | None) -> Table:
+def attitude_table(tracks: Mapping[str, Track[AttitudeMessage]], now_ns: int, truth: Truth | None = None, width: int = _WIDE) -> Table:
     """Return the table of the headings."""
-    columns = ["attitude", "state", "integrity", "heading deg", "pitch deg", "length error m", "latency ms"]
-    table = _table([*columns, *(["error deg"] if truth else [])], right={3, 4, 5, 6, 7})
+    rows: list[list[Text]] = []
     for id_, track in sorted(tracks.items()):
         message = track.newest
         sigmas = [math.degrees(math.sqrt(message.covariance_rad2[i])) if message.covariance_rad2[i] >= 0.0 else math.nan for i in _DIAGONAL]
-        cells: list[Any] = [
+        cells = _cells(
             id_,
             _state(message.status_name, track, now_ns),
             coloured(message.integrity),
@@ -148,35 +187,29 @@ def attitude_table(tracks: Mapping[str, Track[AttitudeMessage]], now_ns: int, tr
             f"{_number(math.degrees(message.pitch_rad), 2)} ± {_number(sigmas[1], 2)}",
             _number(message.length_error_m, 3),
             _latency(track, now_ns),
-        ]
+        )
         if truth:
             error = truth.heading(id_, message)
-            cells.append("-" if error is None else f"{error:+.2f}")
-        table.add_row(*cells)
-    return table
+            cells += _cells("-" if error is None else f"{error:+.2f}")
+        rows.append(cells)
+    return _table([*_ATTITUDES, *([Column("error deg", 2, right=True)] if truth else [])], rows, width)
 
 
-def process_table(rows: Iterable[Mapping[str, Any]], statuses: Mapping[str, tuple[ServiceStatus, int]], now_ns: int) -> Table:
+def process_table(
+    rows: Iterable[Mapping[str, Any]], statuses: Mapping[str, tuple[ServiceStatus, int]], now_ns: int, width: int = _WIDE
+) -> Table:
     """Return the table of the processes: what control knows of them and what they say themselves."""
-    table = _table(["process", "role", "process is", "service is", "pid", "restarts", "up s", "says"], right={4, 5, 6})
-    for row in rows:
-        status, received_ns = statuses.get(row["id"], (None, 0))
-        says, word = row.get("reason", ""), Text("-", style="dim")
-        if status is not None and row.get("pid", status.pid) == status.pid:
-            age_s = (now_ns - received_ns) * 1e-9
-            word = coloured(str(status.state)) if age_s <= SILENT_S else Text(f"silent {age_s:.0f} s", style="yellow")
-            says = says or status.reason or _inputs(status)
-        table.add_row(
-            row["id"],
-            row["role"],
-            coloured(row["state"]),
-            word,
-            str(row["pid"] or "-"),
-            str(row["restarts"]),
-            f"{row['uptime_s']:.0f}",
-            Text(says[:120], overflow="ellipsis", no_wrap=True),
-        )
-    return table
+    return _table(list(_PROCESSES), [_process_cells(row, statuses.get(row["id"]), now_ns) for row in rows], width)
+
+
+def _process_cells(row: Mapping[str, Any], heard: tuple[ServiceStatus, int] | None, now_ns: int) -> list[Text]:
+    says, word = row.get("reason", ""), Text("-", style="dim")
+    if heard is not None and heard[0].pid == row["pid"]:
+        status, age_s = heard[0], (now_ns - heard[1]) * 1e-9
+        word = coloured(str(status.state)) if age_s <= SILENT_S else Text(f"silent {age_s:.0f} s", style="yellow")
+        says = says or status.reason or _inputs(status)
+    up_s, pid = f"{row['uptime_s']:.0f}", str(row["pid"] or "-")
+    return _cells(row["id"], row["role"], coloured(row["state"]), word, pid, str(row["restarts"]), up_s, says)
 
 
 def supervised(board: Board) -> list[dict[str, Any]]:
@@ -244,14 +277,36 @@ def _pair(first: float, second: float) -> str:
     return f"{_number(first, 3)} {_number(second, 3)}"
 
 
-def _table(columns: list[str], right: set[int]) -> Table:
+def _cells(*cells: str | Text) -> list[Text]:
+    return [cell if isinstance(cell, Text) else Text(cell) for cell in cells]
+
+
+def _table(columns: list[Column], rows: list[list[Text]], width: int) -> Table:
+    """Return a table of the columns that fit; the last one kept is cut rather than wrapped."""
+    widths = [max([cell_len(column.name), *(row[i].cell_len for row in rows)]) + 2 for i, column in enumerate(columns)]
+    kept = set(range(len(columns)))
+    for i in sorted(kept, key=lambda i: -columns[i].rank):
+        if (
+            columns[i].rank
+            and sum(widths[k] for k in kept) > width
+            and not (columns[i].name == "says" and _fits(widths, kept - {i}, width))
+        ):
+            kept.discard(i)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="dim")
-    for index, name in enumerate(columns):
-        table.add_column(name, justify="right" if index in right else "left", no_wrap=True)
+    for i in sorted(kept):
+        table.add_column(columns[i].name, justify="right" if columns[i].right else "left", no_wrap=True, overflow="ellipsis")
+    for row in rows:
+        table.add_row(*(row[i] for i in sorted(kept)))
     return table
+
+
+def _fits(widths: list[int], kept: set[int], width: int) -> bool:
+    """Whether a column of free text may stay, cut: when twenty characters are left for it."""
+    return sum(widths[k] for k in kept) + 20 <= width
 
 
 def once(view: View) -> None:
     """Print the picture of this moment, in full width."""
     console = Console()
-    Console(width=console.width if console.is_terminal else 200).print(view.render())
+    view.width = console.width if console.is_terminal else _WIDE
+    Console(width=view.width).print(view.render())

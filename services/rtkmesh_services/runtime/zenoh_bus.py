@@ -26,7 +26,7 @@ from rtkmesh_services.runtime.bus import Answer, Bus, Handle, Liveliness, Query,
 
 LEASE_MS: Final = 2000
 CLOSE_S: Final = 1.0
-_RETRY: Final = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
+_RETRY: Final = {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 2}
 _HEARTBEAT_S: Final = 0.5  # after a cached message: lets subscribers find that they missed the last one
 _QUEUE_BATCHES: Final = 16  # of 64 KiB, per priority, Zenoh's most: the bursts of a replay fit
 _WAIT_CLIENT_US: Final = 100_000  # before a message is dropped: the hub always reads, so a process only waits for a hub that hangs

@@ -1,0 +1,119 @@
+"""RTKLIB's own programs on a case: receiver logs to RINEX by convbin, RINEX to solutions by rnx2rtkp, with the options beside the data."""
+
+import gzip
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+import threading
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from time import monotonic
+from typing import Final
+
+import hatanaka
+from cases import Case
+
+PROGRAMS: Final = ("rnx2rtkp", "convbin")
+TIMEOUT_S: Final = 1200.0
+# 2.4.3 b34 knows these names only and falls back to l1+2 for demo5's, which are in the stored options.
+_FREQUENCIES: Final = {1: "l1", 2: "l1+2", 3: "l1+2+3"}
+_FORMATS: Final = {".ubx": "ubx", ".rtcm3": "rtcm3"}
+
+
+class ProgramError(Exception):
+    """A program that did not do its work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """A program that has ended: what it printed and what it cost."""
+
+    output: str
+    cpu_s: float
+    wall_s: float
+
+
+def run(argv: list[str]) -> Finished:
+    """Run a program to its end; ProgramError with its last words unless it ends with 0."""
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        started = monotonic()
+        process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=out, stderr=err)
+        watch = threading.Timer(TIMEOUT_S, process.kill)
+        watch.start()
+        _, status, usage = os.wait4(process.pid, 0)
+        watch.cancel()
+        process.returncode = code = os.waitstatus_to_exitcode(status)
+        wall_s = monotonic() - started
+        out.seek(0), err.seek(0)
+        said, complaint = (file.read().decode(errors="replace") for file in (out, err))
+    if code:
+        raise ProgramError(f"{Path(argv[0]).name} ended with {code}: {(complaint or said).strip()[-200:]}")
+    return Finished(said, usage.ru_utime + usage.ru_stime, wall_s)
+
+
+def missing() -> list[str]:
+    """Return which of RTKLIB's programs are not installed."""
+    return [name for name in PROGRAMS if shutil.which(name) is None]
+
+
+def solve(case: Case, folder: Path, out: Path) -> Finished:
+    """Solve a case with rnx2rtkp; the cost is that of rnx2rtkp alone, without the conversion to RINEX."""
+    rover, rover_navigation = _rinex(case.rover, case.date, folder)
+    base, base_navigation = _rinex(case.base, case.date, folder)
+    navigation = [*case.navigation, *base_navigation, *rover_navigation]
+    conf = folder / "rnx2rtkp.conf"
+    conf.write_text(options(case))
+    return run(["rnx2rtkp", "-k", str(conf), "-o", str(out), str(rover), str(base), *map(str, navigation)])
+
+
+def options(case: Case) -> str:
+    """Return the options that the stored solution was made with, the frequencies under the name that b34 knows."""
+    stored = case.stored["b34"]
+    conf = stored.with_name(stored.name.removesuffix(".b34.pos") + ".conf").read_text()
+    text, count = re.subn(r"(?m)^(pos1-frequency\s*=).*$", rf"\g<1>{_FREQUENCIES[case.frequencies]}", conf)
+    if count != 1:
+        raise ProgramError(f"{stored.name}: its options do not name the frequencies")
+    return text
+
+
+def _rinex(recording: Path, date: str, folder: Path) -> tuple[Path, list[Path]]:
+    """Return a recording as RINEX observations, and the navigation files that came out of it."""
+    plain = recording
+    if recording.suffix == ".gz":
+        plain = folder / recording.stem
+        plain.write_bytes(gzip.decompress(recording.read_bytes()))
+    if plain.suffix in _FORMATS:
+        return _converted(plain, _FORMATS[plain.suffix], date, folder)
+    if re.fullmatch(r"\.\d\dd", plain.suffix):
+        observations = folder / (plain.stem + plain.suffix[:-1] + "o")
+        observations.write_bytes(hatanaka.decompress(plain.read_bytes()))
+        return observations, []
+    return plain, []
+
+
+def _converted(log: Path, form: str, date: str, folder: Path) -> tuple[Path, list[Path]]:
+    observations, navigation = folder / (log.stem + ".obs"), folder / (log.stem + ".nav")
+    argv = ["convbin", "-r", form, "-v", "3.04", "-od", "-os", "-o", str(observations), "-n", str(navigation)]
+    if date:
+        argv += ["-tr", date.replace("-", "/"), "12:00:00"]
+    run([*argv, str(log)])
+    if date:
+        repair_weeks(observations, datetime.fromisoformat(date) + timedelta(hours=12))
+    return observations, [navigation] if navigation.is_file() else []
+
+
+def repair_weeks(observations: Path, about: datetime) -> None:
+    """Put epochs that are whole weeks off back: b34's convbin loses the week of MSM logs over a week rollover.
+
+    This is in RTKLIB's favour: without it half of its epochs of such a log find no partner.
+    """
+
+    def repaired(match: re.Match[str]) -> str:
+        year, month, day = map(int, match.groups())
+        weeks = round((datetime(year, month, day, 12) - about) / timedelta(weeks=1))
+        return (datetime(year, month, day) - timedelta(weeks=weeks)).strftime("> %Y %m %d")
+
+    observations.write_text(re.sub(r"(?m)^> (\d{4}) (\d\d) (\d\d)", repaired, observations.read_text()))
