@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from cases import REPOSITORY, Case
-
 from rtkmesh import __version__
 
 Row = dict[str, Any]

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from time import monotonic
-from typing import Final
+from typing import IO, Final
 
 import hatanaka
+
 from cases import Case
 
 PROGRAMS: Final = ("rnx2rtkp", "convbin")
@@ -47,11 +48,15 @@ def run(argv: list[str]) -> Finished:
         watch.cancel()
         process.returncode = code = os.waitstatus_to_exitcode(status)
         wall_s = monotonic() - started
-        out.seek(0), err.seek(0)
-        said, complaint = (file.read().decode(errors="replace") for file in (out, err))
+        said, complaint = _text(out), _text(err)
     if code:
         raise ProgramError(f"{Path(argv[0]).name} ended with {code}: {(complaint or said).strip()[-200:]}")
     return Finished(said, usage.ru_utime + usage.ru_stime, wall_s)
+
+
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
 
 
 def missing() -> list[str]:

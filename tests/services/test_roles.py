@@ -130,8 +130,8 @@ def test_bytes_become_a_fix_a_velocity_and_a_heading(world: World) -> None:
     assert len(fixed) >= 15
     for solution in fixed:
         true = told(GpsTime(solution.week, solution.tow_s))
-        assert np.linalg.norm(np.subtract(solution.position_ecef_m, true.position_ecef_m["rover"])) < 0.05
-        assert np.linalg.norm(np.subtract(solution.velocity_ecef_mps, true.velocity_ecef_mps["rover"])) < 0.5
+        assert np.linalg.norm(np.subtract(solution.position_ecef_m, true.antennas_ecef_m["rover"])) < 0.05
+        assert np.linalg.norm(np.subtract(solution.velocity_ecef_mps, true.velocities_ecef_mps["rover"])) < 0.5
         assert solution.age_s == pytest.approx(0.0, abs=0.025)
     attitudes = [decode(AttitudeMessage, s.payload, s.encoding) for s in world.buses["heading"].sent(ATT)]
     usable = [a for a in attitudes if a.integrity == "ok"]

@@ -1,6 +1,7 @@
 """The simulated receiver: what it measures against the truth that it was made from."""
 
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +26,8 @@ QUIET = SignalOptions(
 )  # fmt: skip
 
 
-def receiver(name: str = "a", offset: tuple[float, float, float] = (0.0, 0.0, 0.0), *, seed: int = 1, **options: object) -> Receiver:
-    return Receiver(name, AntennaPath(SITE, static, offset), seed, ReceiverOptions(**options))  # pyright: ignore[reportArgumentType]
+def receiver(name: str = "a", offset: tuple[float, float, float] = (0.0, 0.0, 0.0), *, seed: int = 1, **options: Any) -> Receiver:
+    return Receiver(name, AntennaPath(SITE, static, offset), seed, ReceiverOptions(**options))
 
 
 def run(simulated: Receiver, seconds: float, step_s: float = 1.0, start: GpsTime = START) -> list[Observed]:

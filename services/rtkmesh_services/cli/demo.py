@@ -1,7 +1,9 @@
 """``rtkmesh demo``: the main job on simulated receivers, with the truth beside it."""
 
 import math
+import os
 import re
+import subprocess
 import sys
 import tempfile
 import time
@@ -14,6 +16,7 @@ import numpy as np
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
+import rtkmesh
 import rtkmesh_services
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage
@@ -54,6 +57,9 @@ def demo(
 
     Exit codes: 0 done, 1 no fix within 60 seconds (or none before the end), 2 the site is at fault.
     """
+    if is_cold():
+        sys.stderr.write("compiling the engine's kernels: only the first time\n")
+        subprocess.run([sys.executable, "-m", "rtkmesh_services.cli.main", "warm"], stdout=sys.stderr, check=False)
     with tempfile.TemporaryDirectory(prefix="rtkmesh-demo-") as folder:
         file = Path(folder) / "demo.toml"
         file.write_text(deployment_text(rate, seed))
@@ -72,6 +78,13 @@ def demo(
     else:
         sys.stdout.write(in_words(summary))
     leave(code or (0 if score.fixes else EXIT_FAILED))
+
+
+def is_cold() -> bool:
+    """Whether no kernel is in the cache yet: five processes would then compile the same ones at once."""
+    cache = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(cache) if cache else Path(rtkmesh.__file__).parent / "rtk"
+    return next(folder.rglob("*.nbi"), None) is None
 
 
 def config_path(name: str) -> Path:

@@ -41,6 +41,7 @@ _COLOURS: Final = {
 }
 _DIAGONAL: Final = (0, 4, 8)  # of a row-major 3x3
 _WIDE: Final = 200
+_FREE_TEXT, _FREE_TEXT_WIDTH = "says", 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,7 @@ _PROCESSES: Final = (
     Column("pid", 6, right=True),
     Column("restarts", 4, right=True),
     Column("up s", 5, right=True),
-    Column("says", 2),
+    Column(_FREE_TEXT, 2),
 )
 
 
@@ -282,27 +283,29 @@ def _cells(*cells: str | Text) -> list[Text]:
 
 
 def _table(columns: list[Column], rows: list[list[Text]], width: int) -> Table:
-    """Return a table of the columns that fit; the last one kept is cut rather than wrapped."""
+    """Return a table of the columns that fit; free text at its end is cut to what is left."""
     widths = [max([cell_len(column.name), *(row[i].cell_len for row in rows)]) + 2 for i, column in enumerate(columns)]
-    kept = set(range(len(columns)))
+    if columns[-1].name == _FREE_TEXT:
+        widths[-1] = min(widths[-1], _FREE_TEXT_WIDTH)
+    kept = list(range(len(columns)))
     for i in sorted(kept, key=lambda i: -columns[i].rank):
-        if (
-            columns[i].rank
-            and sum(widths[k] for k in kept) > width
-            and not (columns[i].name == "says" and _fits(widths, kept - {i}, width))
-        ):
-            kept.discard(i)
+        if columns[i].rank and sum(widths[k] for k in kept) > width:
+            kept.remove(i)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="dim")
-    for i in sorted(kept):
-        table.add_column(columns[i].name, justify="right" if columns[i].right else "left", no_wrap=True, overflow="ellipsis")
+    for i in kept:
+        column = columns[i]
+        free = column.name == _FREE_TEXT
+        room = max(widths[i], width - sum(widths[k] for k in kept if k != i)) - 2
+        table.add_column(
+            column.name,
+            justify="right" if column.right else "left",
+            no_wrap=True,
+            min_width=None if free else widths[i] - 2,
+            max_width=room,
+        )
     for row in rows:
-        table.add_row(*(row[i] for i in sorted(kept)))
+        table.add_row(*(row[i] for i in kept))
     return table
-
-
-def _fits(widths: list[int], kept: set[int], width: int) -> bool:
-    """Whether a column of free text may stay, cut: when twenty characters are left for it."""
-    return sum(widths[k] for k in kept) + 20 <= width
 
 
 def once(view: View) -> None:

@@ -1,0 +1,108 @@
+#!/usr/bin/env python3
+"""All benchmarks, one after the other: `make bench`, or `make bench ARGS="--quick"`.
+
+  run.py [--quick] [--only accuracy,decode,engine,realtime] [--markdown]
+
+Each needs the recordings (RTKMESH_DATA or ../shared/data); what is missing is said and left out. --markdown writes the figures into
+benchmarks/results.md and the table of README.md. Ends with 1 when a benchmark failed.
+"""
+
+import argparse
+import importlib.util
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import rtklib
+from cases import data_folder
+from results import RESULTS, fill, made
+
+HERE = Path(__file__).resolve().parent
+
+
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """A program of this folder. ``quick``: its arguments in a quick run; ``modules``: what it imports beyond rtkmesh's own needs."""
+
+    name: str
+    file: str
+    title: str
+    quick: tuple[str, ...] = ()
+    modules: tuple[str, ...] = ()
+
+    def obstacle(self) -> str:
+        """Return why it cannot run, or nothing."""
+        if not (HERE / self.file).is_file():
+            return f"{self.file} is not there"
+        if data_folder() is None:
+            return "no recordings: set RTKMESH_DATA"
+        missing = [name for name in self.modules if importlib.util.find_spec(name) is None]
+        return f"not installed: {', '.join(missing)}" if missing else ""
+
+
+BENCHMARKS = (
+    Benchmark("accuracy", "accuracy.py", "Solutions beside RTKLIB's, per recording", ("--quick",)),
+    Benchmark("decode", "decode_speed.py", "Decoders beside pyubx2 and pyrtcm", modules=("pyubx2", "pyrtcm")),
+    Benchmark("engine", "engine_speed.py", "The engine's steps", ("--quick",)),
+    Benchmark("realtime", "realtime.py", "A running deployment beside rtkrcv", ("--only", "base 60 ms late,cold start", "--seconds", "8")),
+)
+
+
+def main() -> int:
+    options = _options()
+    if rtklib.missing():
+        print(f"RTKLIB is not installed ({', '.join(rtklib.missing())}): our own figures only (Debian package rtklib)")
+    failed: list[str] = []
+    for benchmark in BENCHMARKS:
+        if options.only and benchmark.name not in options.only.split(","):
+            continue
+        print(f"\n== {benchmark.name}: {benchmark.title}", flush=True)
+        if obstacle := benchmark.obstacle():
+            print(f"left out: {obstacle}")
+        elif not _run(benchmark, quick=options.quick, markdown=options.markdown):
+            failed.append(benchmark.name)
+    if failed:
+        print(f"\nfailed: {', '.join(failed)}", file=sys.stderr)
+    return int(bool(failed))
+
+
+def _run(benchmark: Benchmark, *, quick: bool, markdown: bool) -> bool:
+    """Run a benchmark, passing on what it prints; keep it for results.md if asked."""
+    argv = [sys.executable, str(HERE / benchmark.file), *(benchmark.quick if quick else ())]
+    own_pages = benchmark.name == "accuracy"  # writes its tables itself
+    if markdown and own_pages:
+        argv.append("--markdown")
+    lines: list[str] = []
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True, env=_environment()) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            print(line, end="", flush=True)
+            lines.append(line)
+    if markdown and not own_pages and process.returncode == 0:
+        fill(RESULTS, benchmark.name, f"{made()}\n\n```text\n{''.join(lines).rstrip()}\n```\n")
+    return process.returncode == 0
+
+
+def _environment() -> dict[str, str]:
+    folder = data_folder()
+    return {**os.environ, "RTKMESH_DATA": str(folder)} if folder else dict(os.environ)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="minutes instead of a quarter of an hour")
+    parser.add_argument("--only", help=", ".join(benchmark.name for benchmark in BENCHMARKS))
+    parser.add_argument("--markdown", action="store_true", help="write the figures into benchmarks/results.md and README.md")
+    options = parser.parse_args()
+    if options.quick and options.markdown:
+        parser.error("--markdown is for the full run")
+    unknown = set((options.only or "accuracy").split(",")) - {benchmark.name for benchmark in BENCHMARKS}
+    if unknown:
+        parser.error(f"there is no benchmark {', '.join(sorted(unknown))}")
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())
