@@ -205,3 +205,20 @@ def test_other_messages_are_counted_as_ignored(number: int):
     decoder = Rtcm3Decoder(SATURDAY)
     assert decode(decoder, [frame((number << 4).to_bytes(2, "big") + bytes(30))]) == []
     assert decoder.counters.ignored == {f"rtcm3/{number}": 1}
+
+
+def test_an_overtaken_epoch_is_decoded_once_and_without_false_slips():
+    """Epochs 1, 3, 2, 2, 4: all four come out, the repeated one is counted, lock times that are behind mean no slip."""
+    start = GpsTime(2300, 345_600.0)
+
+    def frames(seconds: float) -> list[Frame]:
+        columns = {"satellite": [3, 7], "signal": [28, 28], "pseudorange_m": [2.1e7, 2.2e7], "phase_cyc": [1.1e8, 1.15e8]}
+        epoch = make_epoch(start + seconds, **columns, cn0_dbhz=[45.0, 44.0], lock_s=[100.0 + seconds] * 2)
+        return [Frame(Protocol.RTCM3, "1077", data) for data in encode_epoch(epoch, 5)]
+
+    decoder = Rtcm3Decoder(start)
+    sent = [frame for seconds in (1.0, 3.0, 2.0, 2.0, 4.0) for frame in frames(seconds)]
+    epochs = [message for frame in sent for message in decoder.decode(frame) if isinstance(message, Epoch)]
+    assert [epoch.time - start for epoch in epochs] == [1.0, 3.0, 2.0, 4.0]
+    assert not any(epoch.flags.any() for epoch in epochs)
+    assert sum(decoder.counters.rejected.values()) == 1

@@ -5,7 +5,7 @@ of the GPS week and only then to a full time near that clock, once per message, 
 behind, GLONASS day time) can never fall into different weeks.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from math import floor
 from typing import Final
@@ -31,6 +31,8 @@ _DAYLESS: Final = 5  # GLONASS messages without a day that wait for a better tim
 
 _SAME_EPOCH_S: Final = 0.0015  # time tags are whole milliseconds, rounded by the sender
 _REPLAY_S: Final = 60.0  # what is this much older than the newest epoch came late or is repeated
+_OVERTAKEN_S: Final = 5.0  # but a whole epoch that newer ones overtook on their way is taken up to this late, once
+_RECENT: Final = 64  # epochs that are remembered to tell an overtaken one from a repeated one
 _JUMP_S: Final = 86_400.0  # a step forward of more than this must be confirmed
 _CONFIRMATIONS: Final = 5  # messages that must agree before a step back or a jump is believed
 _TRUST_AFTER: Final = 10  # epochs with a right end mark before a stream that had a wrong one is believed again
@@ -178,6 +180,7 @@ class EpochGatherer:
         self._distrust = 0  # epochs that must still end rightly
         self._doubtful: list[GpsTime] = []
         self._dayless = 0
+        self._recent: deque[GpsTime] = deque(maxlen=_RECENT)
         self._locks = LockMemory()
         self._redundancy = Redundancy()
 
@@ -199,12 +202,15 @@ class EpochGatherer:
             return []
         if time is self._time or (self._time is not None and abs(time - self._time) < _SAME_EPOCH_S):
             return self._same_epoch(kind, part)
-        if not self._believable(time):
+        overtaken = self._was_overtaken(time)
+        if not overtaken and not self._believable(time):
             self._rejected[f"{kind} late or jumping"] += 1
             return []
         done = self.flush()
         self._doubtful.clear()
-        self._time, self._tag_ms, self.clock, self.observed, self._parts = time, tag_ms, time, True, [part]
+        self._time, self._tag_ms, self._parts = time, tag_ms, [part]
+        if not overtaken:
+            self.clock, self.observed = time, True
         return done + self._end_if(part)
 
     def flush(self) -> list[Epoch]:
@@ -218,7 +224,9 @@ class EpochGatherer:
         parts, self._parts = self._parts, []
         if len({part.priority for part in parts}) > 1:
             parts = sorted(parts, key=lambda part: part.priority)
-        epoch = merge_epoch(self._time, parts, self._locks)
+        self._recent.append(self._time)
+        in_order = self.clock is None or self._time >= self.clock
+        epoch = merge_epoch(self._time, parts, self._locks if in_order else LockMemory())
         return [] if epoch is None else [epoch]
 
     def _same_epoch(self, kind: str, part: Observations) -> list[Epoch]:
@@ -240,6 +248,12 @@ class EpochGatherer:
 
     def _end_if(self, part: Observations) -> list[Epoch]:
         return self.flush() if not part.more and not self._distrust else []
+
+    def _was_overtaken(self, time: GpsTime) -> bool:
+        """Return whether newer epochs came just before this one, which was not there yet."""
+        if not self.observed or self.clock is None or not 0.0 < self.clock - time <= _OVERTAKEN_S:
+            return False
+        return all(abs(time - recent) >= _SAME_EPOCH_S for recent in self._recent)
 
     def _believable(self, time: GpsTime) -> bool:
         """Return whether an epoch may have this time after the newest one; a jump is believed once messages confirm it."""

@@ -25,9 +25,10 @@ PRIOR_DOF: Final = 4.0  # how well the variance level is known before the norms 
 def log_odds(best: float, other: float, count: int) -> float:
     """Return the natural logarithm of the odds of the best integer vector (squared norm ``best``) against another.
 
-    Float ambiguities that are normal around the truth with a covariance known up to a factor, the factor inverse chi-square with PRIOR_DOF degrees
-    of freedom around 1, are Student-t (Zellner 1971, B.2.4): p ~ (PRIOR_DOF + norm)^-((PRIOR_DOF + n) / 2). For few ambiguities this asks
-    for a large ratio of the norms, for many for a small one, and a norm that is too large for its count costs confidence.
+    Float ambiguities that are normal around the truth with a covariance known up to a factor, the factor inverse chi-square with
+    PRIOR_DOF degrees of freedom around 1, are Student-t (Zellner 1971, B.2.4): p ~ (PRIOR_DOF + norm)^-((PRIOR_DOF + n) / 2). For few
+    ambiguities this asks for a large ratio of the norms, for many for a small one, and a norm that is too large for its count costs
+    confidence.
     """
     return 0.5 * (PRIOR_DOF + count) * log((PRIOR_DOF + other) / (PRIOR_DOF + best))
 
@@ -38,14 +39,18 @@ def choose_references(states: Indices, groups: Indices, weight: Vector, out: Ind
 
     ``states`` are sorted by anything; ``groups`` are small numbers. A group with one member gives none.
     """
+    if len(states) == 0:
+        return 0
+    best = np.full(groups.max() + 1, -1, np.int64)
+    for k in range(len(states)):
+        b = best[groups[k]]
+        if b < 0 or weight[k] > weight[b] or (weight[k] == weight[b] and states[k] < states[b]):
+            best[groups[k]] = k
     n = 0
     for k in range(len(states)):
-        best = k
-        for i in range(len(states)):
-            if groups[i] == groups[k] and (weight[i] > weight[best] or (weight[i] == weight[best] and states[i] < states[best])):
-                best = i
-        if best != k:
-            out[n, 0], out[n, 1] = states[k], states[best]
+        b = best[groups[k]]
+        if b != k:
+            out[n, 0], out[n, 1] = states[k], states[b]
             n += 1
     return n
 

@@ -24,14 +24,29 @@ from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, CodeScale
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.report import Outcome, from_single, report
 from rtkmesh.rtk.residuals import CHANNEL, CODE, PHASE, WAVELENGTH, Conditions, Differences, observe
-from rtkmesh.rtk.slips import KNOWN_SLIP, LOST, find_slips
+from rtkmesh.rtk.slips import KNOWN_SLIP, find_slips
 from rtkmesh.rtk.solution import Reason, Solution
 from rtkmesh.rtk.state import (
-    ARC_EPOCHS, ARC_S, BASE_LOCK_S, BASE_M, BASE_S, INTEGER, ISSUE, REJECTS, ROVER_LOCK_S, ROVER_M, ROVER_S, SEEN_S, SLIPS,
-    FIRST_PAIR_KEY, SLOPE_KEY, ZENITH_KEY, FilterState,
+    ARC_EPOCHS,
+    ARC_S,
+    BASE_LOCK_S,
+    BASE_M,
+    BASE_S,
+    FIRST_PAIR_KEY,
+    INTEGER,
+    ISSUE,
+    REJECTS,
+    ROVER_LOCK_S,
+    ROVER_M,
+    ROVER_S,
+    SEEN_S,
+    SLIPS,
+    SLOPE_KEY,
+    ZENITH_KEY,
+    FilterState,
 )  # fmt: skip
 from rtkmesh.rtk.update import Layout, Update, update
-from rtkmesh.rtk.validation import Candidates, Resolution, Validation
+from rtkmesh.rtk.validation import Candidates, LengthConstraint, Prediction, Resolution, Validation
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -48,7 +63,9 @@ _GLONASS_SIGMA_CYC: Final = 20.0  # wavelengths differ by channel: the common pa
 _KNOWN_SLIP_SIGMA_CYC: Final = 0.2
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath (algorithms.md finding 9; MEO geometry at walking speed to static)
 _CODE_RAMP = 1e9
-_LONG_BASELINE_M: Final = 70e3  # from here on the ionosphere is a state per satellite; nearer, states cost more than they give (35 km: 99 against 30 % right)
+_LONG_BASELINE_M: Final = (
+    70e3  # from here on the ionosphere is a state per satellite; nearer, states cost more than they give (35 km: 99 against 30 % right)
+)
 _IONOSPHERE_SIGMA_PPM: Final = 1.0e-6
 _IONOSPHERE_WALK_PPM: Final = 0.012e-6  # per square root of second
 _ZENITH_SIGMA_M: Final = 0.02
@@ -65,7 +82,11 @@ class Rtk:
         self._matcher = Matcher(options.systems, options.frequencies, options.excluded, options.cn0_mask_dbhz)
         self._state: FilterState | None = None
         self._scale = CodeScale()
-        self._validation = Validation(options.ambiguity)
+        constraint = None
+        if options.mode is Mode.MOVING_BASE and options.baseline_length_m is not None:
+            constraint = LengthConstraint(options.baseline_length_m, options.baseline_sigma_m)
+        self._validation = Validation(options.ambiguity, constraint)
+        self._prediction: Prediction | None = None
         self._resets = 0
         self._was_fixed = False
         self._base_s = nan
@@ -74,7 +95,7 @@ class Rtk:
         """Forget the filter; what was learned of the code's noise stays."""
         if self._state is not None:
             self._resets += 1
-        self._state = None
+        self._state, self._prediction = None, None
         self._validation.reset()
 
     def step(
@@ -85,13 +106,16 @@ class Rtk:
         klobuchar: KlobucharParameters | None = None,
         *,
         base_position_ecef_m: Vector | None = None,
-        glonass_bias: GlonassBias | None = None,
+        glonass_bias: GlonassBias | None = None,  # noqa: ARG002  part of what a base says; see the docstring for why it changes nothing
     ) -> Solution:
         """Return the solution of a rover epoch with its base epoch (the same or an older one; None if there is none).
 
-        ``base_position_ecef_m`` is the antenna of the base (not needed in moving-base mode). ``glonass_bias`` is accepted for
-        completeness: a code bias that all channels share is part of the group's clock.
+        ``base_position_ecef_m`` is the antenna of the base (not needed in moving-base mode). ``glonass_bias``
+        changes nothing: a code bias that all channels share is part of the group's clock.
         """
+        if self.options.ambiguity.mode is AmbiguityMode.INSTANTANEOUS:
+            self._state, self._prediction = None, None
+            self._validation.reset()
         single = single_point(rover, ephemerides, self._single_options(klobuchar), self._start())
         solution = from_single(rover, base, single)
         if self.options.mode is Mode.SINGLE:
@@ -169,7 +193,7 @@ class Rtk:
         start = single.position_ecef_m if fixed is None else np.array(fixed)
         for i in range(9):
             sigma = (_SEED_SIGMA_M, _SEED_SPEED_MPS, _SEED_ACCELERATION_MPS2)[i // 3] if moving or i < 3 else 1e-6
-            reset_state(state.x, state.P, i, 0.0, sigma**2 if fixed is None or i >= 3 else 1e-8)
+            reset_state(state.x, state.cov, i, 0.0, sigma**2 if fixed is None or i >= 3 else 1e-8)
         state.x[:3] = start - state.base_ecef_m
 
     def _advance(self, state: FilterState, time_s: float, single: SinglePoint) -> None:
@@ -180,12 +204,12 @@ class Rtk:
             if dt > _RESEED_S and single.ok:
                 self._seed(state, single)
             else:
-                if state.P[3, 3] < 1e-9:  # static until now
+                if state.cov[3, 3] < 1e-9:  # static until now
                     for i in range(3, 9):
-                        reset_state(state.x, state.P, i, 0.0, (_SEED_SPEED_MPS if i < 6 else _SEED_ACCELERATION_MPS2) ** 2)
-                predict_motion(state.x, state.P, dt, _DECAY_S, self._motion_noise(state))
+                        reset_state(state.x, state.cov, i, 0.0, (_SEED_SPEED_MPS if i < 6 else _SEED_ACCELERATION_MPS2) ** 2)
+                predict_motion(state.x, state.cov, dt, _DECAY_S, self._motion_noise(state))
         first = state.dynamic + int(np.searchsorted(state.keys, FIRST_PAIR_KEY))
-        diagonal = np.einsum("ii->i", state.P)
+        diagonal = np.einsum("ii->i", state.cov)
         diagonal[first:] += self.options.dynamics.ambiguity_cyc**2 * dt
         length = float(np.linalg.norm(state.x[:3]))
         walk = np.full(first - state.dynamic, (_IONOSPHERE_WALK_PPM * length) ** 2)
@@ -228,7 +252,9 @@ class Rtk:
             return replace(solution, reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
         self._remember(state, differences, layout, outcome, model_ecef_m)
         candidates = self._candidates(state, differences, layout, outcome)
-        resolution = self._validation.resolve(state, candidates)
+        resolution = self._validation.resolve(state, candidates, self._prediction)
+        if resolution.x is not None:
+            self._prediction = Prediction(resolution.x[:3].copy(), 0.0)
         self._hold(state, resolution)
         self._was_fixed = self._was_fixed or resolution.x is not None
         epoch = Outcome(differences, layout, outcome, resolution, age_s, self._moves, singles[1])
@@ -293,7 +319,7 @@ class Rtk:
                 sigma = _ZENITH_SIGMA_M
             elif state.keys[i] == SLOPE_KEY:
                 value, sigma = self._validation.slope
-            reset_state(state.x, state.P, state.dynamic + i, value, sigma**2)
+            reset_state(state.x, state.cov, state.dynamic + i, value, sigma**2)
             state.history[i, ARC_EPOCHS] = 0.0
         state.history[: np.searchsorted(state.keys, FIRST_PAIR_KEY), SEEN_S] = state.time_s
 
@@ -305,10 +331,11 @@ class Rtk:
         setup = np.array((
             self.options.slip.time_difference_cyc, self.options.slip.maximum_gap_s, float(self.options.mode is Mode.MOVING_BASE)
         ))  # fmt: skip
-        find_slips(
+        redundancy = find_slips(
             differences.table[phase], state.history, place, differences.issue[phase], differences.flagged[phase], differences.lock_s[phase],
             differences.rover_direction[phase], differences.base_direction[phase], times, setup, slip, jump, motion, motion_cov,
         )  # fmt: skip
+        self._predict_fix(state, redundancy, motion, motion_cov)
         known = state.history[place, ARC_EPOCHS] >= 0.0
         again = known & (state.history[place, REJECTS] >= 2.0)
         for k in np.flatnonzero(known & ((slip != 0) | again)).tolist():
@@ -319,10 +346,19 @@ class Rtk:
             if slip[k] == KNOWN_SLIP and not again[k]:
                 i = state.dynamic + place[k]
                 state.x[i] += jump[k]
-                state.P[i, i] += _KNOWN_SLIP_SIGMA_CYC**2
+                state.cov[i, i] += _KNOWN_SLIP_SIGMA_CYC**2
                 row[ARC_EPOCHS], row[ARC_S] = 0.0, state.time_s
             else:
                 row[ARC_EPOCHS] = -1.0
+
+    def _predict_fix(self, state: FilterState, redundancy: int, motion: Vector, motion_cov: Matrix) -> None:
+        """Carry the last fix on by the motion that the phases show."""
+        last = self._prediction
+        if last is None or redundancy < 1 or self.options.mode is Mode.MOVING_BASE:
+            self._prediction = None
+            return
+        moved = state.base_ecef_m + state.x[:3] - state.rover_model_ecef_m + motion
+        self._prediction = Prediction(last.baseline_ecef_m + moved, last.sigma_m + sqrt(float(np.trace(motion_cov))))
 
     def _begin_ambiguities(self, state: FilterState, differences: Differences, index: Indices, place: Indices) -> None:
         table = differences.table
@@ -332,7 +368,7 @@ class Rtk:
             glonass = differences.pairs.satellite[k] // 64 == GLONASS
             value = (table[k, PHASE] - table[k, CODE]) / table[k, WAVELENGTH]
             sigma = _GLONASS_SIGMA_CYC if glonass else _AMBIGUITY_SIGMA_CYC
-            reset_state(state.x, state.P, state.dynamic + i, value, sigma**2)
+            reset_state(state.x, state.cov, state.dynamic + i, value, sigma**2)
             state.history[i, ARC_EPOCHS], state.history[i, ARC_S], state.history[i, INTEGER] = 0.0, state.time_s, nan
 
     def _remember(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update, model_ecef_m: Vector) -> None:
@@ -366,8 +402,10 @@ class Rtk:
         o = self.options.ambiguity
         if o.mode is not AmbiguityMode.FIX_AND_HOLD or resolution.pairs is None or resolution.integers is None or resolution.grade < 3:
             return
+        if self._validation.confirmations < o.hold_after_epochs:
+            return
         n = len(state.x)
         N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
         add_constraints(resolution.pairs, state.x, resolution.integers, o.hold_variance_cyc2, N, b)
-        if posterior(state.P, N, b, P, dx) == OK:
-            state.x, state.P = state.x + dx, P
+        if posterior(state.cov, N, b, P, dx) == OK:
+            state.x, state.cov = state.x + dx, P

@@ -1,9 +1,10 @@
 """The filter of single differences: time update, measurement update, bookkeeping of its states.
 
-State: baseline (m, ECEF), velocity and acceleration, then one state per *key*, in rising order of keys: 0 the zenith wet delay (m), a satellite number
-its slant ionosphere at L1 (m), 64 the slope of GLONASS phase biases over the channels (m), a pair's key its single-difference ambiguity (cycles). The receiver clock of each group
-(system, signal pair; code and phase apart) is free in every epoch and is eliminated from the normal equations, so there is no reference
-satellite, and the common part of a group's ambiguities is simply not known.
+State: baseline (m, ECEF), velocity and acceleration, then one state per *key*, in rising order of keys: 0 the zenith wet delay (m), a
+satellite number its slant ionosphere at L1 (m), 64 the slope of GLONASS phase biases over the channels (m), a pair's key its
+single-difference ambiguity (cycles). The receiver clock of each group (system, signal pair; code and phase apart) is free in every epoch
+and is eliminated from the normal equations, so there is no reference satellite, and the common part of a group's ambiguities is simply
+not known.
 
 Measurement update (algorithms.md B2a): with P = U'U the posterior is U' (I + U N U')^-1 U, formed from triangular factors: symmetric and
 positive definite by construction. All matrices are row-major and all inner loops run along rows.
@@ -24,8 +25,9 @@ Indices = NDArray[np.int64]
 OK: Final = 0
 NOT_POSITIVE_DEFINITE: Final = 1
 
-# Columns of an observation. Y (m) is observed minus predicted; W is the inverse variance (1/m2, 0: not used); H_X to H_Z, H_ZENITH, H_IONOSPHERE and
-# H_SLOPE are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere, the ambiguity and the GLONASS slope.
+# Columns of an observation. Y (m) is observed minus predicted; W is the inverse variance (1/m2, 0: not used); H_X to H_Z, H_ZENITH,
+# H_IONOSPHERE and H_SLOPE are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere, the ambiguity and the
+# GLONASS slope.
 Y, W, H_X, H_Y, H_Z, H_ZENITH, H_IONOSPHERE, H_AMBIGUITY, H_SLOPE = range(9)
 OBSERVATION: Final = 9
 # Columns of its places: clock group, then where the states of these four are (-1: none).
@@ -85,8 +87,8 @@ def reset_state(x: Vector, P: Matrix, i: int, value: float, variance: float) -> 
 def predict_motion(x: Vector, P: Matrix, dt_s: float, decay_s: float, Q: Matrix) -> None:
     """Move position, velocity and acceleration (states 0 to 8) ahead by ``dt_s``.
 
-    The acceleration decays with ``decay_s`` (Singer 1970, IEEE Trans. AES-6:473, eq. 8) and is driven by white jerk of the spectral density Q (3 x 3,
-    m2/s5, ECEF). The noise is that of a triple integrator: an upper bound, since decay only takes from it.
+    The acceleration decays with ``decay_s`` (Singer 1970, IEEE Trans. AES-6:473, eq. 8) and is driven by white jerk of the spectral
+    density Q (3 x 3, m2/s5, ECEF). The noise is that of a triple integrator: an upper bound, since decay only takes from it.
     """
     n = len(x)
     a = dt_s / decay_s

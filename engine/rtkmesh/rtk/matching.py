@@ -61,8 +61,8 @@ SAME_CODE, SAME_FAMILY, SAME_BAND = range(3)
 class Pairs:
     """Single differences that can be formed, sorted by (satellite, band order): rows of the two epochs and the clock group of each.
 
-    ``group`` numbers the (system, rover signal, base signal) combinations in rising order; ``likeness`` is SAME_CODE, SAME_FAMILY or SAME_BAND.
-    ``key`` is unique to (satellite, rover signal, base signal) and rises with them.
+    ``group`` numbers the (system, rover signal, base signal) combinations in rising order; ``likeness`` is SAME_CODE, SAME_FAMILY or
+    SAME_BAND. ``key`` is unique to (satellite, rover signal, base signal) and rises with them.
     """
 
     satellite: NDArray[np.int16]
@@ -187,7 +187,7 @@ def _best_pair(
             if cost < least:
                 least = cost
                 out[0], out[1], out[2] = i, j, likeness
-    return least < 1 << 40
+    return bool(least < 1 << 40)
 
 
 @kernel

@@ -1,6 +1,6 @@
 """How much an observation is worth: variances of single differences."""
 
-from math import sin, sqrt
+from math import sin
 from typing import Final
 
 import numpy as np
@@ -65,8 +65,3 @@ class CodeScale:
         """Return what the factors would be after ``learn``."""
         raw = (SCALE_PRIOR_DOF + self._squares + squares) / (SCALE_PRIOR_DOF + self._dof + dof)
         return np.clip(raw, *SCALE_RANGE)
-
-
-def sigma(variance: float) -> float:
-    """Return the square root of a variance; NaN for what is none."""
-    return sqrt(variance) if variance >= 0.0 else float("nan")

@@ -35,7 +35,6 @@ class NoiseOptions:
     phase_a_m: float = 0.003  # RTKLIB stats-errphase
     phase_b_m: float = 0.003  # RTKLIB stats-errphaseel
     code_ratio: float = 150.0  # 0.6 m at the zenith, between survey (0.2) and patch antennas (1 to 3): learned from residuals
-    doppler_mps: float = 0.1
     ephemeris_m_per_m: float = 0.1e-6  # broadcast orbit error of 2 m over the baseline: 0.1 mm per km
 
 
@@ -52,8 +51,7 @@ class DynamicsOptions:
 class SlipOptions:
     """Cycle slip tests."""
 
-    geometry_free_m: float = 0.05
-    time_difference_cyc: float = 0.35
+    time_difference_cyc: float = 0.35  # a slip is 0.5 or more; the test's own noise is below 0.1
     maximum_gap_s: float = 20.0  # ambiguities are kept over outages up to this
 
 
@@ -62,13 +60,12 @@ class AmbiguityOptions:
     """Integer ambiguity resolution and validation."""
 
     mode: AmbiguityMode = AmbiguityMode.CONTINUOUS
-    ratio: float = 3.0
+    ratio: float = 3.0  # scales the confidence asked for: 3 is our default, 2 asks for less, 4 for more (validation.confidence)
     elevation_mask_rad: float = radians(15.0)
     minimum_lock_epochs: int = 0
     minimum_ambiguities: int = 5  # with fewer, ratio 3 passes are wrong more often than right (algorithms.md, A4)
-    maximum_position_sigma_m: float = 1.0  # the float must be this good before integers are tried
     hold_variance_cyc2: float = 0.1
-    hold_after_epochs: int = 20
+    hold_after_epochs: int = 20  # confirmations before fix-and-hold tells the filter
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,7 +147,7 @@ class Pairing:
             if self._orderly >= _ORDERLY_EPOCHS:
                 self._reorder_wait_s = _ORDERLY_REORDER_WAIT_S
         insort(self._bases, base)
-        if len(self._bases) > _KEPT_BASES:
+        if len(self._bases) > _KEPT_BASES and not self.options.replay:
             del self._bases[0]
 
     def end_base(self) -> None:

@@ -1,7 +1,7 @@
 """The solution of an epoch, from what the steps of the engine left behind."""
 
 from dataclasses import dataclass, replace
-from math import nan, sqrt
+from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from rtkmesh.rtk.update import Layout, Update
 from rtkmesh.rtk.validation import Resolution
 
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 _REASONS = {
     SingleStatus.OK: Reason.OK,
@@ -63,7 +64,7 @@ def report(solution: Solution, state: FilterState, outcome: Outcome) -> Solution
     resolution, update = outcome.resolution, outcome.update
     fixed = resolution.x is not None and resolution.P is not None
     x = resolution.x if resolution.x is not None else state.x
-    P = resolution.P if resolution.P is not None else state.P
+    P = resolution.P if resolution.P is not None else state.cov
     phases = len(np.unique(outcome.differences.pairs.satellite[update.phase_used]))
     status = Status.FIX if fixed else (Status.FLOAT if phases >= 4 else Status.DGPS)
     used = outcome.differences.pairs.satellite[update.phase_used | update.code_used]
@@ -89,10 +90,10 @@ def report(solution: Solution, state: FilterState, outcome: Outcome) -> Solution
         nis_per_observation=update.phase_chi2 / update.phase_dof if update.phase_dof > 0.5 else nan,
         satellites=_satellites(state, outcome),
     )
-    return _with_motion(out, state, x, P, outcome)
+    return _with_motion(out, x, P, outcome)
 
 
-def _with_motion(solution: Solution, state: FilterState, x: Vector, P: Vector, outcome: Outcome) -> Solution:
+def _with_motion(solution: Solution, x: Vector, P: Matrix, outcome: Outcome) -> Solution:
     """Add velocity and acceleration of the filter; of a moving base its own velocity is added."""
     if not outcome.moves:
         return solution
@@ -131,8 +132,3 @@ def _satellites(state: FilterState, outcome: Outcome) -> SatelliteTable:
         lock_s=np.where(seen, state.time_s - history[:, ARC_S], nan),
         slips=np.where(seen, history[:, SLIPS], 0).astype(np.int32),
     )
-
-
-def sigma_3d(covariance: Vector) -> float:
-    """Return the square root of the trace of a covariance."""
-    return sqrt(float(np.trace(covariance)))

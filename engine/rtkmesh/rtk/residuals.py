@@ -24,9 +24,9 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Columns of a single difference. CODE and PHASE (m): observed minus modelled, rover minus base, NaN where not to be used; ROVER_PHASE and BASE_PHASE (m)
-# the same of one receiver (time differences find slips in them); variances (m2); IONOSPHERE is (f1 / f)^2; CN0 the lower of the two.
-# CHANNEL that of GLONASS, 0 for others.
+# Columns of a single difference. CODE and PHASE (m): observed minus modelled, rover minus base, NaN where not to be used; ROVER_PHASE and
+# BASE_PHASE (m) the same of one receiver (time differences find slips in them); variances (m2); IONOSPHERE is (f1 / f)^2; CN0 the lower
+# of the two. CHANNEL that of GLONASS, 0 for others.
 CODE, PHASE, ROVER_PHASE, BASE_PHASE, CODE_VARIANCE, PHASE_VARIANCE, WAVELENGTH, IONOSPHERE, CN0, ELEVATION_RAD, CHANNEL = range(11)
 DIFFERENCE: Final = 11
 
@@ -84,11 +84,11 @@ def single_differences(
 ) -> None:
     """Write the single differences (n x DIFFERENCE) of the pairs.
 
-    ``rover`` and ``base`` (n x 2) are of ``undifferenced``; the sigmas (n x 2) are those that the receivers report: code (m), phase (cycles),
-    NaN if they do not; ``noise`` is the vector of parameters.
+    ``rover`` and ``base`` (n x 2) are of ``undifferenced``; the sigmas (n x 2) are those that the receivers report: code (m), phase
+    (cycles), NaN if they do not; ``noise`` is the vector of parameters.
     """
     for k in range(len(satellite_index)):
-        elevation = elevation_rad[satellite_index[k]]
+        elevation = float(elevation_rad[satellite_index[k]])
         cn0 = min(rover_cn0_dbhz[k], base_cn0_dbhz[k]) if base_cn0_dbhz[k] > 0.0 else rover_cn0_dbhz[k]
         scale = wavelength_m[k] * _L1_HZ / _C
         out[k, WAVELENGTH], out[k, IONOSPHERE] = wavelength_m[k], scale * scale
@@ -123,8 +123,8 @@ def receiver_elevations(geometry: Matrix, out: Vector) -> None:
 class Differences:
     """The single differences of one pair of epochs; all columns go with ``pairs``.
 
-    ``table`` is of ``single_differences``; directions are unit vectors receiver to satellite; ``issue`` names the ephemeris; ``flagged`` says that either
-    receiver reports a slip; ``half_cycle`` that either has its half cycles open; ``lock_s`` are rover's and base's.
+    ``table`` is of ``single_differences``; directions are unit vectors receiver to satellite; ``issue`` names the ephemeris; ``flagged``
+    says that either receiver reports a slip; ``half_cycle`` that either has its half cycles open; ``lock_s`` are rover's and base's.
     """
 
     pairs: Pairs
@@ -161,7 +161,8 @@ def observe(
     wavelength = np.empty(len(pairs))
     wavelengths(pairs.satellite, rover.signal[pairs.rover], channel, wavelength)
     index = index.astype(np.int64)
-    phases, geometries = [], []
+    phases: list[Matrix] = []
+    geometries: list[Matrix] = []
     for epoch, row, position in ((rover, pairs.rover, rover_ecef_m), (base, pairs.base, base_ecef_m)):
         states, geometry, out = np.empty((len(satellites), STATE)), np.empty((len(satellites), GEOMETRY)), np.empty((len(pairs), 2))
         codes = epoch.pseudorange_m[row[first]]

@@ -58,8 +58,9 @@ def find_slips(
 ) -> int:
     """Write per pair NO_SLIP, KNOWN_SLIP (with the jump in cycles) or LOST; the motion of the rover (m, against its model positions).
 
-    ``place`` are rows of ``history``; ``flagged`` is the word of either receiver; ``lock_s`` (n x 2) rover and base; ``times_s`` are now rover,
-    now base, last rover, last base; ``setup`` is threshold (cycles), longest gap (s), 1.0 if the base moves. Return the redundancy of the rover's test.
+    ``place`` are rows of ``history``; ``flagged`` is the word of either receiver; ``lock_s`` (n x 2) rover and base; ``times_s`` are now
+    rover, now base, last rover, last base; ``setup`` is threshold (cycles), longest gap (s), 1.0 if the base moves. Return the redundancy
+    of the rover's test.
     """
     n = len(place)
     threshold_cyc, longest_gap_s, base_moves = setup[0], setup[1], setup[2] > 0.0

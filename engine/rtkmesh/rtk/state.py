@@ -18,21 +18,22 @@ ZENITH_KEY: Final = 0
 SLOPE_KEY: Final = 64  # GLONASS satellite number 0: no satellite
 FIRST_PAIR_KEY: Final = MAX_SATELLITE  # below: ionosphere states (satellite numbers), the GLONASS slope and the zenith delay
 
-# Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last phases minus
-# model (m), ISSUE the ephemeris they were made with; ARC_EPOCHS counts epochs since the ambiguity was begun anew, REJECTS those in a row in
-# which its phase did not fit; INTEGER is the held integer (cycles, common offset per group), NaN where none.
+# Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last
+# phases minus model (m), ISSUE the ephemeris they were made with; ARC_EPOCHS counts epochs since the ambiguity was begun anew, REJECTS
+# those in a row in which its phase did not fit; INTEGER is the held integer (cycles, common offset per group), NaN where none.
 SEEN_S, ROVER_S, BASE_S, ROVER_M, BASE_M, ROVER_LOCK_S, BASE_LOCK_S, ISSUE, ARC_EPOCHS, REJECTS, SLIPS, INTEGER, ARC_S = range(13)
 HISTORY: Final = 13
 
 
 @dataclass(slots=True, eq=False)
 class FilterState:
-    """The mutable state of one filter. ``x`` and ``P`` are ordered as ``filter`` says; ``keys`` belong to the states from ``dynamic`` on."""
+    """The mutable state of one filter. ``x`` and ``cov`` are ordered as ``filter`` says; ``keys`` belong to the states from ``dynamic``
+    on."""
 
     origin: GpsTime
     dynamic: int
     x: Vector
-    P: Matrix
+    cov: Matrix
     time_s: float = 0.0
     keys: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
     history: Matrix = field(default_factory=lambda: np.zeros((0, HISTORY)))
@@ -47,7 +48,7 @@ class FilterState:
         keys, source = merge_keys(self.keys, keep, current)
         if np.array_equal(keys, self.keys):
             return
-        self.x, self.P = rearrange(self.x, self.P, source, self.dynamic)
+        self.x, self.cov = rearrange(self.x, self.cov, source, self.dynamic)
         history = np.full((len(keys), HISTORY), np.nan)
         known = source >= 0
         history[known] = self.history[source[known]]
@@ -63,4 +64,4 @@ class FilterState:
     @property
     def finite(self) -> bool:
         """Whether nothing has overflowed."""
-        return bool(np.isfinite(self.x).all() and np.isfinite(self.P).all())
+        return bool(np.isfinite(self.x).all() and np.isfinite(self.cov).all())

@@ -9,8 +9,24 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import SYSTEMS
 from rtkmesh.rtk.filter import (
-    AT_AMBIGUITY, AT_IONOSPHERE, AT_SLOPE, AT_ZENITH, GROUP, H_AMBIGUITY, H_IONOSPHERE, H_SLOPE, H_X, H_ZENITH, OBSERVATION, OK, PLACES, W, Y,
-    normal_equations, posterior, residuals,
+    AT_AMBIGUITY,
+    AT_IONOSPHERE,
+    AT_SLOPE,
+    AT_ZENITH,
+    GROUP,
+    H_AMBIGUITY,
+    H_IONOSPHERE,
+    H_SLOPE,
+    H_X,
+    H_ZENITH,
+    OBSERVATION,
+    OK,
+    PLACES,
+    W,
+    Y,
+    normal_equations,
+    posterior,
+    residuals,
 )  # fmt: skip
 from rtkmesh.rtk.noise import CodeScale
 from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, ELEVATION_RAD, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
@@ -57,7 +73,8 @@ def fill_observations(
     inflation: Vector, scale: Vector, keyed: Vector, out: Matrix, places: Indices,
 ) -> None:  # fmt: skip
     """Write code (first n rows) and phase (last n rows) observations of n pairs; ``scale`` is the code variance factor per pair,
-    ``keyed`` the keyed part of the state."""
+    ``keyed`` the keyed part of the state.
+    """
     n = len(group)
     for k in range(n):
         sin_el = np.sin(table[k, ELEVATION_RAD])
@@ -104,7 +121,8 @@ def code_statistics(
 @kernel
 def screen(observations: Matrix, places: Indices, value: Vector, variance: Vector, count: int, limits: Vector) -> int:
     """Put aside (negative weight) the worst observation of each group that is beyond its limit, if it is not far better than the worst
-    of all; return how many. The first ``count`` rows are codes."""
+    of all; return how many. The first ``count`` rows are codes.
+    """
     worst = 0.0
     ratio = np.zeros(observations.shape[0])
     for k in range(observations.shape[0]):
@@ -148,7 +166,7 @@ def update(
     if ok:
         scale.learn(*work.statistics())
         state.x = state.x + work.dx
-        state.P = work.P_new
+        state.cov = work.P_new
     return work.outcome(ok)
 
 
@@ -180,8 +198,8 @@ class _Work:
         dynamic = self.state.dynamic
         normal_equations(self.observations, self.places, dynamic, 2 * self.groups, self.N, self.b, self.mean)
         if self.velocity is not None:
-            add_velocity(self.state.x, self.state.P, *self.velocity, self.N, self.b)
-        if posterior(self.state.P, self.N, self.b, self.P_new, self.dx) != OK:
+            add_velocity(self.state.x, self.state.cov, *self.velocity, self.N, self.b)
+        if posterior(self.state.cov, self.N, self.b, self.P_new, self.dx) != OK:
             return False
         residuals(self.observations, self.places, dynamic, self.mean, self.P_new, self.dx, False, self.value, self.variance)
         return True

@@ -1,8 +1,8 @@
 """Which integers are believed, for how long, and why.
 
-Integers are *held* once they have proven themselves; the filter itself never learns of them (except in fix-and-hold), so it stays an independent
-witness: every epoch the free search and the float solution can speak against what is held. New ambiguities join one by one when what is
-held determines them. All thresholds are log odds (see ``ambiguity.log_odds``), so they adapt to the strength of the model.
+Integers are *held* once they have proven themselves; the filter itself never learns of them (except in fix-and-hold), so it stays an
+independent witness: every epoch the free search and the float solution can speak against what is held. New ambiguities join one by one
+when what is held determines them. All thresholds are log odds (see ``ambiguity.log_odds``), so they adapt to the strength of the model.
 """
 
 from dataclasses import dataclass, replace
@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.rtk.ambiguity import NODE_LIMIT, choose_references, compare_integers, condition, log_odds, search_pairs
+from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.rtk.ambiguity import NODE_LIMIT, PRIOR_DOF, choose_references, compare_integers, condition, log_odds, search_pairs
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions
 from rtkmesh.rtk.solution import Reason
-from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, INTEGER, SLOPE_KEY, FilterState
 
 Vector = NDArray[np.float64]
@@ -26,6 +26,8 @@ Indices = NDArray[np.int64]
 ACCEPT_AT_ONCE: Final = 8.5  # log odds for a fix from one search
 ACCEPT_AFTER_STREAK: Final = 5.0  # log odds for a fix from a row of searches with equal results
 STREAK_S: Final = 10.0
+WEAK_STREAK_S: Final = 30.0  # with few ambiguities: code multipath must have changed in between
+WEAK_COUNT: Final = 8
 STREAK_EPOCHS: Final = 5
 RELEASE: Final = 5.0  # log odds of another vector against the held one at which doubt counts
 RELEASE_EPOCHS: Final = 3
@@ -34,6 +36,8 @@ JOIN_ODDS: Final = 9.0  # log odds for ambiguities that join the held ones, whos
 JOIN_TRIES: Final = 4  # all of the new ones, then without the newer, at last the oldest alone
 SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geodesy 86:139-148: up to 25 mm on L1)
 SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
+PREDICTION_LIMIT_M: Final = 0.05  # by how much a fix may leave the prediction, beyond 4 sigma of both
+CONSTRAINED_CANDIDATES: Final = 40  # how many candidates a known length chooses from
 GLONASS_VOTES: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
 FIX_SIGMA_M: Final = 0.30  # a fix must be this good, or too few of its ambiguities are known
 STRONG_COUNT: Final = 20  # with so many ambiguities that fit, ACCEPT_MANY is enough: their norm is a test in itself
@@ -61,6 +65,22 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.row)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Where the last fix and time differences of the phase put the baseline (m, ECEF), and how sure that is (one sigma)."""
+
+    baseline_ecef_m: Vector
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class LengthConstraint:
+    """Known length of the baseline (m) and its sigma."""
+
+    length_m: float
+    sigma_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +125,10 @@ class Resolution:
 class Validation:
     """The memory of validated integers of one filter. Mutable."""
 
-    def __init__(self, options: AmbiguityOptions) -> None:
+    def __init__(self, options: AmbiguityOptions, constraint: LengthConstraint | None = None) -> None:
         self.options = options
+        self._constraint = constraint
+        self._confidence = confidence(options.ratio)
         self._streak_start_s = inf
         self._streak_epochs = 0
         self._streak_keys: Indices = np.zeros(0, np.int64)
@@ -122,10 +144,10 @@ class Validation:
     def reset(self) -> None:
         """Forget the integers; what was learned of GLONASS belongs to the receivers and stays."""
         glonass, slope = self._glonass, self.slope
-        self.__init__(self.options)
+        self.__init__(self.options, self._constraint)
         self._glonass, self.slope = glonass, slope
 
-    def resolve(self, state: FilterState, candidates: Candidates) -> Resolution:
+    def resolve(self, state: FilterState, candidates: Candidates, prediction: Prediction | None = None) -> Resolution:
         """Find or keep integers for this epoch."""
         if self.options.mode is AmbiguityMode.OFF:
             return Resolution(Reason.AMBIGUITY_OFF)
@@ -133,7 +155,7 @@ class Validation:
         if not self._glonass:
             candidates = everything.take(everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
         held_pairs = _pairs(state, _held(state, everything))
-        free = _search(state, candidates)
+        free = self._search(state, candidates)
         if len(held_pairs) >= 3:
             self._watch(state, held_pairs, free)
             held_pairs = _pairs(state, _held(state, everything))
@@ -142,7 +164,7 @@ class Validation:
         else:
             self._join(state, candidates, held_pairs)
             self._learn_glonass(state, everything, held_pairs)
-        return self._fix(state, everything, free)
+        return self._fix(state, everything, free, prediction)
 
     def _try_new(self, state: FilterState, candidates: Candidates, everything: Candidates, free: Search) -> None:
         """Look for integers without any that are held."""
@@ -150,10 +172,10 @@ class Validation:
         self._held_since_s = inf
         best, wide, level = free, free, state
         if not self._strong(best, 0.0) and len(candidates) > 1:
-            searches = [free, *_subsets(state, candidates)]
+            searches = [free, *self._subsets(state, candidates)]
             if len(everything) > len(candidates):
                 level = _without_slope(state)
-                wide = max(_search(state, everything), flat := _search(level, everything), key=lambda search: search.odds)
+                wide = max(self._search(state, everything), flat := self._search(level, everything), key=lambda search: search.odds)
                 level = level if wide is flat else state
                 searches.append(wide)
             best = max(searches, key=lambda search: search.odds)
@@ -162,15 +184,16 @@ class Validation:
             return
         self._follow(state, best)
         penalty = 0.0 if best is free else log(SUBSET_TRIES)
-        persistent = self._streak_epochs >= STREAK_EPOCHS and state.time_s - self._streak_start_s >= STREAK_S
-        if self._strong(best, penalty) or (persistent and best.odds >= ACCEPT_AFTER_STREAK + penalty):
+        lasting_s = STREAK_S if len(best.pairs) >= WEAK_COUNT else WEAK_STREAK_S
+        persistent = self._streak_epochs >= STREAK_EPOCHS and state.time_s - self._streak_start_s >= lasting_s
+        if self._strong(best, penalty) or (persistent and best.odds >= self._confidence * ACCEPT_AFTER_STREAK + penalty):
             if best.norm > NORM_LIMIT * len(best.pairs):
                 return
             if best is wide and wide is not free:  # the slope that GLONASS fits with is known now
-                state.x, state.P, self._glonass = level.x, level.P, True
+                state.x, state.cov, self._glonass = level.x, level.cov, True
             _hold(state, best.pairs, best.integers)
             self._held_since_s, self._doubts, self._confirmed = state.time_s, 0, 0
-            self._shown = best.odds >= SURE or len(best.pairs) >= STRONG_COUNT
+            self._shown = best.odds >= self._confidence * SURE or len(best.pairs) >= STRONG_COUNT
 
     def _learn_glonass(self, state: FilterState, everything: Candidates, held_pairs: Indices) -> None:
         """Trust GLONASS integers once they agree with those of the others, with a slope that fits; remember the slope."""
@@ -180,11 +203,11 @@ class Validation:
             return
         if self._glonass:
             x, P = np.empty(1), np.empty((1, 1))
-            condition(state.x, state.P, held_pairs, _held_integers(state, held_pairs), 0.0, np.full(1, state.dynamic + slope), x, P)
+            condition(state.x, state.cov, held_pairs, _held_integers(state, held_pairs), 0.0, np.full(1, state.dynamic + slope), x, P)
             self.slope = (float(x[0]), sqrt(max(float(P[0, 0]), 0.0)) + SLOPE_CHANGE_M)
             return
-        wide = _search(state, everything)
-        fits = wide.resolved and wide.odds >= ACCEPT_AT_ONCE and wide.norm <= NORM_LIMIT * len(wide.pairs)
+        wide = self._search(state, everything)
+        fits = wide.resolved and wide.odds >= self._confidence * ACCEPT_AT_ONCE and wide.norm <= NORM_LIMIT * len(wide.pairs)
         if not fits or compare_integers(state.keys, state.history[:, INTEGER].copy(), state.keys, wide.values)[1] > 0:
             self._glonass_votes = 0
             return
@@ -197,7 +220,7 @@ class Validation:
         if not search.resolved or count < self.options.minimum_ambiguities:
             return False
         many = count >= STRONG_COUNT and search.norm <= 0.25 * NORM_LIMIT * count
-        return search.odds >= (ACCEPT_MANY if many else ACCEPT_AT_ONCE) + penalty
+        return search.odds >= self._confidence * (ACCEPT_MANY if many else ACCEPT_AT_ONCE) + penalty
 
     def _follow(self, state: FilterState, search: Search) -> None:
         """Count for how long searches have given the same integers."""
@@ -210,20 +233,24 @@ class Validation:
     def _watch(self, state: FilterState, pairs: Indices, free: Search) -> None:
         """Let the float solution speak against what is held; release it when the doubt lasts."""
         integers = _held_integers(state, pairs)
-        norm = condition(state.x, state.P, pairs, integers, 0.0, _NOTHING, _NO_VECTOR, _NO_MATRIX)
+        norm = condition(state.x, state.cov, pairs, integers, 0.0, _NOTHING, _NO_VECTOR, _NO_MATRIX)
         doubt = norm > NORM_LIMIT * len(pairs) * 2.0
         if free.resolved:
             other = free.values[pairs[:, 0] - state.dynamic] - free.values[pairs[:, 1] - state.dynamic]
             if np.array_equal(other, integers):
                 self._confirmed += 1
-                self._shown = self._shown or (self._confirmed >= CONFIRMATIONS and free.odds >= ACCEPT_AFTER_STREAK)
+                self._shown = self._shown or (self._confirmed >= CONFIRMATIONS and free.odds >= self._confidence * ACCEPT_AFTER_STREAK)
             else:
-                best = condition(state.x, state.P, pairs, other, 0.0, _NOTHING, _NO_VECTOR, _NO_MATRIX)
+                best = condition(state.x, state.cov, pairs, other, 0.0, _NOTHING, _NO_VECTOR, _NO_MATRIX)
                 doubt = doubt or log_odds(best, norm, len(pairs)) > RELEASE
-        self._doubts = self._doubts + 1 if doubt else 0
+        self._note(state, doubt)
+
+    def _note(self, state: FilterState, doubt: bool) -> None:
+        """Count doubts in a row; release what is held when they last."""
+        self._doubts = self._doubts + 1 if doubt else max(self._doubts - 1, 0)
         if self._doubts >= RELEASE_EPOCHS:
             _release(state)
-            self._doubts, self._streak_epochs, self._glonass, self._glonass_votes = 0, 0, False, 0
+            self._doubts, self._streak_epochs, self._glonass, self._glonass_votes, self._shown = 0, 0, False, 0, False
 
     def _join(self, state: FilterState, candidates: Candidates, held_pairs: Indices) -> None:
         """Give integers to ambiguities that the held ones determine."""
@@ -244,7 +271,7 @@ class Validation:
         rows, reference = new.row[usable], reference[usable]
         wanted = np.unique(np.concatenate((rows, reference))) + state.dynamic
         x, P = np.empty(len(wanted)), np.empty((len(wanted), len(wanted)))
-        norm = condition(state.x, state.P, held_pairs, _held_integers(state, held_pairs), 0.0, wanted, x, P)
+        norm = condition(state.x, state.cov, held_pairs, _held_integers(state, held_pairs), 0.0, wanted, x, P)
         if norm == inf:
             return
         pairs = np.column_stack((np.searchsorted(wanted, rows + state.dynamic), np.searchsorted(wanted, reference + state.dynamic)))
@@ -259,24 +286,61 @@ class Validation:
                 history[rows[old], INTEGER] = history[reference[old], INTEGER] + fixed[0]
                 return
 
-    def _fix(self, state: FilterState, candidates: Candidates, free: Search) -> Resolution:
+    def _fix(self, state: FilterState, candidates: Candidates, free: Search, prediction: Prediction | None) -> Resolution:
         """Return the state that follows from what is held now."""
-        held = candidates.take(np.isfinite(state.history[candidates.row, INTEGER]))
-        pairs = _pairs(state, held)
-        known = dict(ratio=free.ratio, odds=free.odds, success=free.success, threshold=_ratio_for(len(free.pairs), ACCEPT_AT_ONCE))
+        pairs = _pairs(state, _held(state, candidates))
+        threshold = _ratio_for(len(free.pairs), self._confidence * ACCEPT_AT_ONCE)
+        unfixed = Resolution(Reason.RATIO, ratio=free.ratio, odds=free.odds, success=free.success, threshold=threshold)
         if len(pairs) < 4:
-            reason = Reason.FEW_AMBIGUITIES if len(free.pairs) < self.options.minimum_ambiguities else Reason.RATIO
-            return Resolution(reason, **known)
+            return replace(unfixed, reason=Reason.FEW_AMBIGUITIES) if len(free.pairs) < self.options.minimum_ambiguities else unfixed
         wanted = np.arange(state.dynamic)
         x, P = np.empty(state.dynamic), np.empty((state.dynamic, state.dynamic))
         integers = _held_integers(state, pairs)
-        norm = condition(state.x, state.P, pairs, integers, 0.0, wanted, x, P)
+        norm = condition(state.x, state.cov, pairs, integers, 0.0, wanted, x, P)
         if norm == inf or norm > 2.0 * NORM_LIMIT * len(pairs) or self._doubts > 0 or not self._shown:
-            return Resolution(Reason.VALIDATION, **known)
+            return replace(unfixed, reason=Reason.VALIDATION)
         if P[0, 0] + P[1, 1] + P[2, 2] > FIX_SIGMA_M**2:
-            return Resolution(Reason.FLOAT_TOO_UNCERTAIN, **known)
+            return replace(unfixed, reason=Reason.FLOAT_TOO_UNCERTAIN)
+        if prediction is not None:
+            limit_m = PREDICTION_LIMIT_M + 4.0 * (prediction.sigma_m + sqrt(P[0, 0] + P[1, 1] + P[2, 2]))
+            if np.linalg.norm(x[:3] - prediction.baseline_ecef_m) > limit_m:
+                self._note(state, True)
+                return replace(unfixed, reason=Reason.VALIDATION)
         grade = 1 + (self._confirmed > 0) + (self._confirmed >= STREAK_EPOCHS and state.time_s - self._held_since_s >= STREAK_S)
-        return Resolution(Reason.OK, x, P, pairs, integers, count=len(pairs), grade=int(grade), **known)
+        return replace(unfixed, reason=Reason.OK, x=x, P=P, pairs=pairs, integers=integers, count=len(pairs), grade=int(grade))
+
+    @property
+    def confirmations(self) -> int:
+        """How many free searches have agreed with what is held."""
+        return self._confirmed
+
+    def _subsets(self, state: FilterState, candidates: Candidates) -> list[Search]:
+        """Search without the newest ambiguities, and without each of the weakest satellites in turn."""
+        age = state.time_s - state.history[candidates.row, ARC_S]
+        masks = [age > 0.0, age > 5.0, age > 20.0]
+        satellites, first = np.unique(candidates.satellite, return_index=True)
+        order = np.argsort(candidates.weight[first], kind="stable")
+        masks += [candidates.satellite != satellites[k] for k in order[: SUBSET_TRIES - len(masks)]]
+        return [self._search(state, candidates.take(mask)) for mask in masks if 4 < mask.sum() < len(mask)]
+
+    def _search(self, state: FilterState, candidates: Candidates) -> Search:
+        """Search the integers of all double differences of the candidates."""
+        pairs, values = _pairs(state, candidates), np.full(len(state.keys), np.nan)
+        if len(pairs) == 0:
+            return Search(pairs, np.zeros(0), values, inf, inf, 0.0, -inf, False)
+        count = 2 if self._constraint is None else CONSTRAINED_CANDIDATES
+        fixed, norms = np.zeros((count, len(pairs))), np.zeros(count)
+        status, success = search_pairs(state.x, state.cov, pairs, NODE_LIMIT, fixed, norms)
+        if status != OK:
+            return Search(pairs, fixed[0], values, inf, inf, success, -inf, False)
+        first, second = 0, 1
+        if self._constraint is not None:
+            norms = norms + _length_norms(state, pairs, fixed, self._constraint)
+            first, second = np.argsort(norms, kind="stable")[:2].tolist()
+        values[pairs[:, 1] - state.dynamic] = 0.0
+        values[pairs[:, 0] - state.dynamic] = fixed[first]
+        odds = log_odds(norms[first], norms[second], len(pairs))
+        return Search(pairs, fixed[first], values, float(norms[first]), float(norms[second]), success, odds, True)
 
 
 _NOTHING = np.zeros(0, np.int64)
@@ -294,13 +358,13 @@ def _without_slope(state: FilterState) -> FilterState:
     if slope == len(state.keys) or state.keys[slope] != SLOPE_KEY:
         return state
     i = state.dynamic + slope
-    gain = state.P[:, i] / state.P[i, i]
-    P = state.P - np.outer(gain, state.P[i])
+    gain = state.cov[:, i] / state.cov[i, i]
+    P = state.cov - np.outer(gain, state.cov[i])
     P[i, :], P[:, i] = 0.0, 0.0
     P[i, i] = SLOPE_CHANGE_M**2
     x = state.x - gain * state.x[i]
     x[i] = 0.0
-    return replace(state, x=x, P=P)
+    return replace(state, x=x, cov=P)
 
 
 def _pairs(state: FilterState, candidates: Candidates) -> Indices:
@@ -310,28 +374,16 @@ def _pairs(state: FilterState, candidates: Candidates) -> Indices:
     return out[:n].copy()
 
 
-def _search(state: FilterState, candidates: Candidates) -> Search:
-    pairs = _pairs(state, candidates)
-    values = np.full(len(state.keys), np.nan)
-    if len(pairs) == 0:
-        return Search(pairs, np.zeros(0), values, inf, inf, 0.0, -inf, False)
-    fixed, norms = np.zeros((2, len(pairs))), np.zeros(2)
-    status, success = search_pairs(state.x, state.P, pairs, NODE_LIMIT, fixed, norms)
-    if status != OK:
-        return Search(pairs, fixed[0], values, inf, inf, success, -inf, False)
-    values[pairs[:, 1] - state.dynamic] = 0.0
-    values[pairs[:, 0] - state.dynamic] = fixed[0]
-    return Search(pairs, fixed[0], values, norms[0], norms[1], success, log_odds(norms[0], norms[1], len(pairs)), True)
-
-
-def _subsets(state: FilterState, candidates: Candidates) -> list[Search]:
-    """Search without the newest ambiguities, and without each of the weakest satellites in turn."""
-    age = state.time_s - state.history[candidates.row, ARC_S]
-    masks = [age > 0.0, age > 5.0, age > 20.0]
-    satellites, first = np.unique(candidates.satellite, return_index=True)
-    order = np.argsort(candidates.weight[first], kind="stable")
-    masks += [candidates.satellite != satellites[k] for k in order[: SUBSET_TRIES - len(masks)]]
-    return [_search(state, candidates.take(mask)) for mask in masks if 4 < mask.sum() < len(mask)]
+def _length_norms(state: FilterState, pairs: Indices, fixed: Matrix, constraint: LengthConstraint) -> Vector:
+    """Return per candidate the squared misfit of the baseline's length, in sigmas of length and candidate together."""
+    out = np.empty(len(fixed))
+    x, P = np.empty(3), np.empty((3, 3))
+    for k, integers in enumerate(fixed):
+        condition(state.x, state.cov, pairs, integers, 0.0, np.arange(3), x, P)
+        length = float(np.linalg.norm(x))
+        unit = x / max(length, 1e-6)
+        out[k] = (length - constraint.length_m) ** 2 / (constraint.sigma_m**2 + float(unit @ P @ unit))
+    return out
 
 
 def _held_integers(state: FilterState, pairs: Indices) -> Vector:
@@ -352,8 +404,13 @@ def _release(state: FilterState) -> None:
     state.history[:, INTEGER] = np.nan
 
 
+def confidence(ratio: float) -> float:
+    """Return the factor on log odds that a ratio asks for: 1 at 3, by the odds of that ratio for ten honest ambiguities."""
+    return log((PRIOR_DOF + 10.0 * max(ratio, 1.05)) / (PRIOR_DOF + 10.0)) / log((PRIOR_DOF + 30.0) / (PRIOR_DOF + 10.0))
+
+
 def _ratio_for(count: int, odds: float) -> float:
     """Return the ratio that gives these odds when the best norm is what is expected of it (its count)."""
     if count == 0:
         return 0.0
-    return (exp(2.0 * odds / (4.0 + count)) * (4.0 + count) - 4.0) / count
+    return (exp(min(2.0 * odds / (PRIOR_DOF + count), 50.0)) * (PRIOR_DOF + count) - PRIOR_DOF) / count

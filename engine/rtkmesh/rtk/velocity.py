@@ -16,7 +16,8 @@ _FLOOR_MPS = 0.03  # Doppler velocity is the mean over the receiver's loop time,
 
 @kernel
 def add_velocity(x: Vector, P: Matrix, velocity_mps: Vector, covariance: Matrix, N: Matrix, b: Vector) -> float:
-    """Add a velocity (m/s, ECEF, relative to the base) to normal equations for corrections of x; return its chi-square against the prediction.
+    """Add a velocity (m/s, ECEF, relative to the base) to normal equations for corrections of x; return its chi-square against the
+    prediction.
 
     A velocity that contradicts the prediction gets its covariance scaled until it does not.
     """

@@ -78,7 +78,7 @@ class Request:
         Parameter(help="Day on which RTCM 3 logs begin, YYYY-MM-DD: they carry no date. Not needed beside a dated recording."),
     ] = None
     config: Annotated[
-        Path | None, Parameter(help="TOML file with one table [solver.NAME], or with that table's keys alone; flags overrule it.")
+        Path | None, Parameter(help=r"TOML file with one solver: \[solver], or a deployment's one \[solver.NAME]; flags overrule it.")
     ] = None
     out: Annotated[Path | None, Parameter(help="The .pos file. Default: standard output.")] = None
     coordinates: Annotated[

@@ -9,6 +9,7 @@ from typing import Any
 
 from rtkmesh.codecs.messages import Frame, Message
 from rtkmesh.codecs.stream import StreamOptions
+from rtkmesh.errors import OptionError
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_services.errors import SourceError
@@ -132,7 +133,7 @@ class Simulation:
         now = gps_now(self._clock)
         try:
             simulated = open_stream(scenario, stream, seed=seed, rate_hz=rate_hz, start=now)
-        except (ValueError, KeyError) as error:
+        except OptionError as error:
             self._sink(LinkReport(LinkState.ERROR, f"{self._url.path}: {error}"))
             return
         self._sink(LinkReport(LinkState.CONNECTED, self._url.path))
