@@ -5,6 +5,11 @@ import shutil
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("tests", deadline=None)
+settings.register_profile("fuzz", deadline=None, max_examples=5000, suppress_health_check=list(HealthCheck))
+settings.load_profile("fuzz" if os.environ.get("RTKMESH_FUZZ") else "tests")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

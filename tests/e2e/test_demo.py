@@ -64,7 +64,7 @@ def test_shipped_replays_run_to_their_end_on_their_own(name: str, data: Path, po
     finally:
         replay.close()
     end = replay.events[-1]
-    epochs, fix_pct = {"replay_rinex": (301, 99.0), "replay_ubx": (1202, 90.0), "replay_rtcm3": (1134, 98.0)}[name]
+    epochs, fix_pct = {"replay_rinex": (301, 99.0), "replay_ubx": (1202, 80.0), "replay_rtcm3": (1134, 98.0)}[name]
     assert end["reason"] == "all recordings are at their end"
     assert end["solvers"]["rtk"]["epochs"] >= 0.99 * epochs
     assert end["solvers"]["rtk"]["fix_pct"] >= fix_pct

@@ -15,7 +15,7 @@ from rtkmesh_schemas.observation import Observation
 from rtkmesh_schemas.wire import encode, encoding_of
 from rtkmesh_services.cli.check import check
 from rtkmesh_services.cli.cmd import arguments
-from rtkmesh_services.cli.echo import line_of, page_of
+from rtkmesh_services.cli.echo import full_expression, line_of, page_of
 from rtkmesh_services.cli.main import COMMANDS
 from rtkmesh_services.cli.network import EXIT_FAILED, EXIT_REFUSED, EXIT_TIMEOUT, EXIT_UNREACHABLE, EXIT_USAGE, exit_code
 from rtkmesh_services.cli.show import keys, schema
@@ -74,6 +74,25 @@ def test_exit_codes(codes: list[Code], expected: int):
 def test_every_failure_code_has_an_exit_code_that_is_not_success():
     """No failure ends with 0."""
     assert all(exit_code([Reply(ok=False, code=code)]) != 0 for code in Code)
+
+
+@pytest.mark.parametrize(
+    ("text", "expression"),
+    [
+        ("rover/sol", "rtk/rover/sol"),
+        ("rtk/rover/sol", "rtk/rover/sol"),
+        ("rtk/sol", "rtk/rtk/sol"),
+        ("rtk/rtk/sol", "rtk/rtk/sol"),
+        ("*/status", "rtk/*/status"),
+        ("rtk/**", "rtk/**"),
+        ("**", "**"),
+        ("rover/eph/*", "rtk/rover/eph/*"),
+        ("rtk/flockwave", "rtk/flockwave"),
+    ],
+)
+def test_echo_knows_what_is_meant(text: str, expression: str):
+    """With or without the leading rtk/, also for a process that is called rtk."""
+    assert full_expression(text) == expression
 
 
 def observation() -> Sample:

@@ -6,7 +6,7 @@ single-difference ambiguity (cycles). The receiver clock of each group (system, 
 and is eliminated from the normal equations, so there is no reference satellite, and the common part of a group's ambiguities is simply
 not known.
 
-Measurement update (algorithms.md B2a): with P = U'U the posterior is U' (I + U N U')^-1 U, formed from triangular factors: symmetric and
+Measurement update: with P = U'U the posterior is U' (I + U N U')^-1 U, formed from triangular factors: symmetric and
 positive definite by construction. All matrices are row-major and all inner loops run along rows.
 """
 
@@ -26,8 +26,8 @@ OK: Final = 0
 NOT_POSITIVE_DEFINITE: Final = 1
 
 # Columns of an observation. Y (m) is observed minus predicted; W is the inverse variance (1/m2, 0: not used); H_X to H_Z, H_ZENITH,
-# H_IONOSPHERE and H_SLOPE are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere, the ambiguity and the
-# GLONASS slope.
+# H_IONOSPHERE, H_AMBIGUITY and H_SLOPE are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere, the
+# ambiguity and the GLONASS slope.
 Y, W, H_X, H_Y, H_Z, H_ZENITH, H_IONOSPHERE, H_AMBIGUITY, H_SLOPE = range(9)
 OBSERVATION: Final = 9
 # Columns of its places: clock group, then where the states of these four are (-1: none).

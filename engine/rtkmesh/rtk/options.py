@@ -44,7 +44,7 @@ class DynamicsOptions:
 
     acceleration_horizontal_mps2: float = 3.0
     acceleration_vertical_mps2: float = 1.5
-    ambiguity_cyc: float = 4e-3  # coloured code noise must not freeze the float (algorithms.md, finding 9)
+    ambiguity_cyc: float = 4e-3  # coloured code noise must not freeze the float (with 1e-4 the float stays wrong and sure of it)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class AmbiguityOptions:
     ratio: float = 3.0  # scales the confidence asked for: 3 is our default, 2 asks for less, 4 for more (validation.confidence)
     elevation_mask_rad: float = radians(15.0)
     minimum_lock_epochs: int = 0
-    minimum_ambiguities: int = 5  # with fewer, ratio 3 passes are wrong more often than right (algorithms.md, A4)
+    minimum_ambiguities: int = 5  # with fewer, ratio 3 passes are wrong more often than right (measured)
     hold_variance_cyc2: float = 0.1
     hold_after_epochs: int = 20  # confirmations before fix-and-hold tells the filter
 

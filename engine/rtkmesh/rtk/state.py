@@ -28,7 +28,8 @@ HISTORY: Final = 13
 @dataclass(slots=True, eq=False)
 class FilterState:
     """The mutable state of one filter. ``x`` and ``cov`` are ordered as ``filter`` says; ``keys`` belong to the states from ``dynamic``
-    on."""
+    on.
+    """
 
     origin: GpsTime
     dynamic: int

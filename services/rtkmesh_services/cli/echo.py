@@ -9,7 +9,7 @@ import msgspec
 from cyclopts import App, Parameter
 
 from rtkmesh_schemas.errors import SchemaError
-from rtkmesh_schemas.keys import ROOT, stream_of
+from rtkmesh_schemas.keys import ROOT, STREAMS, Stream, stream_of
 from rtkmesh_schemas.observation import Observation
 from rtkmesh_schemas.reference import MESSAGES
 from rtkmesh_schemas.wire import Wire, decode
@@ -47,8 +47,7 @@ def echo(
     namespace: Namespace = "",
 ) -> int:
     """Print messages as they come: ours decoded, others raw. Cached ones (status, event, eph, ref) come at once."""
-    if not expression.startswith((f"{ROOT}/", "**", "@")):
-        expression = f"{ROOT}/{expression}"
+    expression = full_expression(expression)
     inbox, shown, last_s = Inbox(), 0, time.monotonic()
     with reach(connect, namespace) as bus:
         bus.subscribe(expression, inbox.put, history=True)
@@ -62,6 +61,20 @@ def echo(
             sys.stdout.write(line_of(sample) if as_json else page_of(sample))
             sys.stdout.flush()
     return EXIT_OK
+
+
+def full_expression(text: str) -> str:
+    """Return the key expression meant by ``rover/sol`` or ``rtk/rover/sol``; ``rtk/sol`` is that of the process called rtk."""
+    if text.startswith(("**", "@")) or (text.startswith(f"{ROOT}/") and any(_may_match(text, stream) for stream in STREAMS)):
+        return text
+    return f"{ROOT}/{text}"
+
+
+def _may_match(text: str, stream: Stream) -> bool:
+    chunks, others = text.split("/"), stream.expression().split("/")
+    wild = {"*", "**"}
+    same = (chunk in wild or other in wild or chunk == other for chunk, other in zip(chunks, others, strict=False))
+    return "**" in chunks or (len(chunks) == len(others) and all(same))
 
 
 def line_of(sample: Sample) -> str:
