@@ -111,14 +111,24 @@ def _converted(log: Path, form: str, date: str, folder: Path) -> tuple[Path, lis
 
 
 def repair_weeks(observations: Path, about: datetime) -> None:
-    """Put epochs that are whole weeks off back: b34's convbin loses the week of MSM logs over a week rollover.
+    """Put epochs that are whole weeks off back, and drop those of no sensible time.
 
-    This is in RTKLIB's favour: without it half of its epochs of such a log find no partner.
+    b34's convbin loses the week of MSM logs over a week rollover. The repair is in RTKLIB's favour: without it half of its epochs of such
+    a log find no partner.
     """
+    kept: list[str] = []
+    sensible = True
+    for line in observations.read_text().splitlines(keepends=True):
+        if not line.startswith(">"):
+            kept += [line] if sensible else []
+            continue
+        time = _epoch_time(line)
+        time -= timedelta(weeks=round((time - about) / timedelta(weeks=1)))
+        sensible = abs(time - about) <= timedelta(days=1)
+        kept += [f"> {time:%Y %m %d}{line[12:]}"] if sensible else []
+    observations.write_text("".join(kept))
 
-    def repaired(match: re.Match[str]) -> str:
-        year, month, day = map(int, match.groups())
-        weeks = round((datetime(year, month, day, 12) - about) / timedelta(weeks=1))
-        return (datetime(year, month, day) - timedelta(weeks=weeks)).strftime("> %Y %m %d")
 
-    observations.write_text(re.sub(r"(?m)^> (\d{4}) (\d\d) (\d\d)", repaired, observations.read_text()))
+def _epoch_time(line: str) -> datetime:
+    """Return the minute of a RINEX 3 epoch line."""
+    return datetime.strptime(line[2:18], "%Y %m %d %H %M")

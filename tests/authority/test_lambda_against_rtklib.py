@@ -26,7 +26,7 @@ def test_same_candidates_and_norms(n):
     rng = np.random.default_rng(n)
     for _ in range(5):
         H = rng.normal(size=(n, min(n, 3)))
-        Q = H @ H.T * rng.uniform(0.5, 5.0) ** 2 + np.diag(rng.uniform(5e-4, 2e-3, n)) + 5e-4
+        Q = H @ H.T * rng.uniform(0.1, 0.5) ** 2 + np.diag(rng.uniform(5e-4, 2e-3, n)) + 5e-4
         a = rng.integers(-1000, 1000, n) + rng.multivariate_normal(np.zeros(n), Q)
         fixed, norms, D = np.zeros((2, n)), np.zeros(2), np.zeros(n)
         assert integer_least_squares(a, Q.copy(), 100_000, fixed, norms, D) == OK

@@ -18,7 +18,8 @@ from rtkmesh_schemas.wire import decode
 from rtkmesh_services.cli.offline import Run, open_inputs
 from rtkmesh_services.ingest.replay import date_of
 from rtkmesh_services.ingest.urls import parse_source
-from rtkmesh_services.mapping.options import known_position, session_options
+from rtkmesh_services.mapping.options import session_options
+from rtkmesh_services.mapping.position import known_position
 from rtkmesh_services.mapping.solution import solution_message
 from rtkmesh_services.runtime.configuration import load_deployment
 from rtkmesh_services.runtime.zenoh_bus import open_bus

@@ -119,6 +119,16 @@ def test_wrong_file_is_named_with_line_and_nearest_key(up: Up) -> None:
     assert "period_s" in deployment.text()
 
 
+def test_top_away_from_a_terminal_prints_the_table_once(up: Up) -> None:
+    deployment = up(TWO)
+    deployment.until(deployment.all_running)
+    command = [sys.executable, "-m", "rtkmesh_services.cli.main", "top", "--connect", deployment.endpoint]
+    text = subprocess.run(command, capture_output=True, text=True, check=True, timeout=20).stdout
+    rows = [line.split()[:4] for line in text.splitlines()]
+    for expected in (["hub", "hub"], ["one", "monitor"], ["two", "monitor"], ["control", "control"]):
+        assert [*expected, "RUNNING", "RUNNING"] in rows
+
+
 def test_table_on_a_terminal(tmp_path: Path, port: int) -> None:
     """On a terminal the live table is drawn, and Ctrl-C as typed there ends all with exit code 0."""
     file = tmp_path / "deployment.toml"

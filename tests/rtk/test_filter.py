@@ -75,7 +75,9 @@ def test_update_equals_dense_update_with_explicit_clocks():
     information[:n, :n] = np.linalg.inv(P)
     full = np.linalg.inv(information + H.T * w @ H)
     assert status == OK
-    assert P_new == pytest.approx(full[:n, :n], rel=1e-5, abs=1e-9)
+    sigma = np.sqrt(np.diag(P_new))
+    assert np.abs(P_new - full[:n, :n]).max() < 1e-6 * sigma.max() ** 2
+    assert P_new / np.outer(sigma, sigma) == pytest.approx(full[:n, :n] / np.outer(sigma, sigma), abs=1e-6)
     assert dx == pytest.approx((full @ (H.T * w @ y))[:n], rel=1e-5, abs=1e-7)
 
 

@@ -198,7 +198,7 @@ class AtEnd:
         ended = {id_ for id_, (status, _) in foreground.board.statuses.items() if status.data.get("end")}
         if self._waited <= ended:
             return "all recordings are at their end", 0
-        if self._receivers <= ended and self._idle_s(foreground.board) > _IDLE_S:
+        if self._receivers and self._receivers <= ended and self._idle_s(foreground.board) > _IDLE_S:
             return f"all recordings are at their end, but {', '.join(sorted(self._waited - ended))} did not finish", EXIT_FAILED
         return None
 
@@ -216,13 +216,17 @@ def connect(site: Site, keeper: Keeper) -> Bus:
 
     table = site.deployment.deployment
     endpoints = endpoints_for(table.connect, site.deployment.hub.listen)
+    waiting = False
     while True:
         try:
             return open_bus(CONTROL_ID, endpoints, namespace=table.namespace, timeout_s=_CONNECT_S)
-        except UnreachableError:
+        except UnreachableError as error:
             if keeper.state_of(HUB_ID) is ProcessState.FAILED:
                 lines = keeper.last_lines(HUB_ID, 1)
                 raise BusError(f"the hub does not run: {lines[0] if lines else 'see its log'}") from None
+            if not site.deployment.hub.enabled and not waiting:
+                waiting = True
+                logging.getLogger("rtkmesh").warning("%s; waiting for it", error)
 
 
 def require_free(site: Site) -> None:

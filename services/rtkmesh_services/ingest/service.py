@@ -6,8 +6,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from rtkmesh.codecs.messages import Frame, Message
+from rtkmesh.codecs.rtcm3_encode import encode_epoch
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
+from rtkmesh.codecs.ubx_encode import encode_rawx
 from rtkmesh.gnss.ephemeris import ReceiverFix
+from rtkmesh.gnss.epoch import make_epoch
+from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number, signal_number
+from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import IngestTable
 from rtkmesh_schemas.errors import DecodeError, VersionError
@@ -21,7 +26,7 @@ from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
 from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, Simulation, common_start, date_of, gps_now, recording_of
 from rtkmesh_services.ingest.stream import StreamPublisher
 from rtkmesh_services.ingest.urls import SourceUrl, parse_source
-from rtkmesh_services.mapping.options import known_position
+from rtkmesh_services.mapping.position import known_position
 from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done
 from rtkmesh_services.runtime.statistics import RollingQuantiles
@@ -239,9 +244,21 @@ def consumers_of(context: Context) -> list[str]:
 
 
 def warm_decoder() -> None:
-    """Run the decoders once, so that their kernels are compiled or loaded."""
-    decoder = StreamDecoder(StreamOptions())
-    decoder.feed(bytes(range(256)))
+    """Decode an epoch of each protocol that receivers send, so that the kernels are compiled or loaded before the first byte."""
+    start = GpsTime(2400, 0.0)
+    satellites = [satellite_number(name) for name in ("G05", "R07", "E11", "C23")]
+    signals = [signal_number(code) for code in ("1C", "1C", "1C", "2I")]
+    columns = {
+        "pseudorange_m": [2.2e7] * 4,
+        "phase_cyc": [1.1e8] * 4,
+        "doppler_hz": [10.0] * 4,
+        "cn0_dbhz": [45.0] * 4,
+        "lock_s": [9.0] * 4,
+    }
+    epoch = make_epoch(start, satellite=satellites, signal=signals, channel=[NO_CHANNEL, 1, NO_CHANNEL, NO_CHANNEL], **columns)
+    decoder = StreamDecoder(StreamOptions(approximate_time=start))
+    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1)):
+        decoder.feed(data)
     decoder.flush()
 
 

@@ -6,10 +6,9 @@ from typing import Any
 
 import msgspec
 
-from rtkmesh.gnss.frames import ecef_from_geodetic
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.session import SessionOptions, pairing_for
-from rtkmesh_schemas.config import IngestTable, SolverTable
+from rtkmesh_schemas.config import SolverTable
 
 
 def rtk_options(table: SolverTable) -> RtkOptions:
@@ -52,17 +51,6 @@ def session_options(table: SolverTable, *, replay: bool, base_position_ecef_m: t
 def navigation_only(table: SolverTable) -> tuple[str, ...]:
     """Return the ids of the ingests that give a solver nothing but navigation data."""
     return tuple(name for name in dict.fromkeys(table.navigation) if name not in (table.rover, table.base))
-
-
-def known_position(table: IngestTable) -> tuple[float, float, float] | None:
-    """Return the configured ECEF position (m) of a receiver's antenna, or None."""
-    if table.position_ecef_m is not None:
-        return table.position_ecef_m
-    if table.position_llh_deg is None:
-        return None
-    lat_deg, lon_deg, height_m = table.position_llh_deg
-    x, y, z = ecef_from_geodetic(radians(lat_deg), radians(lon_deg), height_m).tolist()
-    return x, y, z
 
 
 def _given(table: msgspec.Struct) -> dict[str, Any]:

@@ -18,7 +18,8 @@ from rtkmesh_schemas.keys import CREDIT, SAT, SOL, Role
 from rtkmesh_schemas.observation import Credit
 from rtkmesh_schemas.status import Level, State
 from rtkmesh_services.errors import CommandError
-from rtkmesh_services.mapping.options import known_position, navigation_only, session_options
+from rtkmesh_services.mapping.options import navigation_only, session_options
+from rtkmesh_services.mapping.position import known_position
 from rtkmesh_services.mapping.solution import satellites_message, solution_message
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_solver_table
