@@ -125,7 +125,10 @@ def test_stromlo_over_the_week_rollover(data):
     folder = data / "stromlo_rtcm"
     date = GpsTime.from_calendar(2018, 7, 14)
     case = raw(
-        [folder / "week-rollover-STR24.rtcm3", folder / "week-rollover-STR17.rtcm3"], (-4467102.3061, 2683039.5304, -3666949.9820), 1200, date
+        [folder / "week-rollover-STR24.rtcm3", folder / "week-rollover-STR17.rtcm3"],
+        (-4467102.3061, 2683039.5304, -3666949.9820),
+        1200,
+        date,
     )
     around = [k for k, e in enumerate(case.rover) if abs(seconds(e.time) - 2010 * 604800.0) < 60.0]
     case.rover = case.rover[around[0] : around[-1] + 1]

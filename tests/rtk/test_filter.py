@@ -128,8 +128,8 @@ def test_motion_equals_the_transition_matrix(decay_s):
     for _ in range(2):
         predict_motion(x2, P2, dt / 2.0, decay_s, np.zeros((3, 3)))
     assert x1 == pytest.approx(moved, rel=1e-9)
-    assert P1 == pytest.approx(expected, rel=1e-9, abs=1e-12)
-    assert P2 == pytest.approx(P1, rel=1e-6, abs=1e-9)
+    assert pytest.approx(expected, rel=1e-9, abs=1e-12) == P1
+    assert pytest.approx(P1, rel=1e-6, abs=1e-9) == P2
 
 
 def test_keys_are_merged_and_states_follow_them():

@@ -14,7 +14,9 @@ def epoch(*rows, without_phase=(), cn0_dbhz=45.0):
     satellite = [satellite_number(row.split()[0]) for row in rows]
     signal = [signal_number(row.split()[1]) for row in rows]
     phase = [np.nan if row in without_phase else 1e8 for row in rows]
-    return make_epoch(TIME, satellite=satellite, signal=signal, pseudorange_m=[2.2e7] * len(rows), phase_cyc=phase, cn0_dbhz=[cn0_dbhz] * len(rows))
+    return make_epoch(
+        TIME, satellite=satellite, signal=signal, pseudorange_m=[2.2e7] * len(rows), phase_cyc=phase, cn0_dbhz=[cn0_dbhz] * len(rows)
+    )
 
 
 def matched(rover, base, systems="GREJC", frequencies=2, excluded=(), cn0_mask_dbhz=0.0):

@@ -53,7 +53,14 @@ def test_too_few_satellites_are_untested():
 
 @pytest.mark.parametrize(
     ("lock_s", "before_s", "elapsed_s", "lost"),
-    [(10.0, 9.0, 1.0, False), (0.2, 9.0, 1.0, True), (0.1, 0.0, 1.0, True), (0.3, 0.2, 1.0, False), (np.nan, 9.0, 1.0, False), (64.5, 64.5, 1.0, False)],
+    [
+        (10.0, 9.0, 1.0, False),
+        (0.2, 9.0, 1.0, True),
+        (0.1, 0.0, 1.0, True),
+        (0.3, 0.2, 1.0, False),
+        (np.nan, 9.0, 1.0, False),
+        (64.5, 64.5, 1.0, False),
+    ],
 )
 def test_lock_times(lock_s, before_s, elapsed_s, lost):
     """A lock time that fell, or that is too short for the gap even as a lower bound, means that lock was lost."""

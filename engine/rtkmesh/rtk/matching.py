@@ -198,9 +198,9 @@ def _keys(
     n = len(satellite)
     key, kind, group = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     for k in range(n):
-        signals = rover_signal[k] * 512 + base_signal[k]
-        key[k] = satellite[k] * 262144 + signals
-        kind[k] = (satellite[k] // 64) * 262144 + signals
+        signals, number = int(rover_signal[k]) * 512 + int(base_signal[k]), int(satellite[k])
+        key[k] = number * 262144 + signals
+        kind[k] = (number // 64) * 262144 + signals
     kinds = np.unique(kind)
     for k in range(n):
         group[k] = np.searchsorted(kinds, kind[k])

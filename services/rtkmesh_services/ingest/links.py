@@ -4,6 +4,7 @@ A link hands chunks of bytes to its sink, with the monotonic instant of reading,
 back-off for as long as the process runs.
 """
 
+import os
 import socket
 import threading
 import time
@@ -132,7 +133,8 @@ class SerialWire:
         try:
             self._port = serial.Serial(path, baud, timeout=POLL_S, write_timeout=2.0, exclusive=True)
         except (serial.SerialException, ValueError) as error:
-            raise SourceError(f"{path}: {error}") from error
+            number = getattr(error, "errno", None)
+            raise SourceError(f"{path}: {os.strerror(number) if number else error}") from error
 
     def read(self) -> bytes | None:
         """Return what is there, waiting for the first byte."""
@@ -187,8 +189,10 @@ class Link:
                 self._sink(LinkReport(LinkState.CONNECTING, self._where()))
                 if self._serve(self._open()):
                     backoff_s = BACKOFF_FIRST_S
-            except (OSError, SourceError) as error:
+            except SourceError as error:
                 self._sink(LinkReport(LinkState.ERROR, str(error)))
+            except OSError as error:
+                self._sink(LinkReport(LinkState.ERROR, f"{self._where()}: {os.strerror(error.errno) if error.errno else error}"))
             self._stop.wait(backoff_s)
             backoff_s = min(BACKOFF_LAST_S, 2.0 * backoff_s)
         if self._listener is not None:

@@ -1,0 +1,88 @@
+"""CPU time per epoch of the engine on recordings (decoding left out), and of its stages: ``python benchmarks/engine_speed.py [--data DIR]``.
+
+The first epochs (compilation, cold caches) are not counted. rnx2rtkp's figures for the same files are in the recordings' README.
+"""
+
+import argparse
+import cProfile
+import pstats
+import time
+from bisect import bisect_right
+from pathlib import Path
+
+import numpy as np
+
+from rtkmesh.codecs.rinex_navigation import read_navigation
+from rtkmesh.codecs.rinex_observation import ObservationReader
+from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.rtk.engine import Rtk
+from rtkmesh.rtk.options import RtkOptions
+from rtkmesh.rtk.solution import Status
+
+CASES = (
+    ("tokyo 1 band G", "tokyo_static", "rover.obs", "base.obs", "base.nav", (-3817680.7270, 3562839.5216, 3650159.2407), "G", 1),
+    ("tokyo 2 bands GEJC", "tokyo_static", "rover.obs", "base.obs", "base.nav", (-3817680.7270, 3562839.5216, 3650159.2407), "GEJC", 2),
+    ("tokyo 3 bands GREJC", "tokyo_static", "rover.obs", "base.obs", "base.nav", (-3817680.7270, 3562839.5216, 3650159.2407), "GREJC", 3),
+    (
+        "kanagawa 2 bands GEJ", "kanagawa_2021_078_60s", "SEPT078M1.21O", "3034078M1.21O", "SEPT078M.21P",
+        (-3959400.631, 3385704.533, 3667523.111), "GEJ", 2,
+    ),
+)  # fmt: skip
+WARM = 5
+STAGES = ("single_point", "match", "observe", "_slips", "_lay_out", "update", "posterior", "resolve", "search_pairs", "report")
+
+
+def seconds(time_):
+    return time_.week * 604800.0 + time_.tow_s
+
+
+def load(folder, rover, base, nav):
+    table = EphemerisTable()
+    for ephemeris in read_navigation((folder / nav).read_bytes()).ephemerides:
+        table.add(ephemeris)
+    rovers, bases = (list(ObservationReader((folder / name).read_bytes())) for name in (rover, base))
+    times = [seconds(epoch.time) for epoch in bases]
+    return [(epoch, bases[bisect_right(times, seconds(epoch.time) + 0.025) - 1]) for epoch in rovers], table
+
+
+def run(pairs, table, base_ecef_m, options):
+    """Return CPU milliseconds per epoch after the first, solutions, and the profile of a second run."""
+    engine, used, solutions = Rtk(options), [], []
+    for rover, base in pairs:
+        start = time.thread_time()
+        solutions.append(engine.step(rover, base, table, base_position_ecef_m=base_ecef_m))
+        used.append(1e3 * (time.thread_time() - start))
+    profile, engine = cProfile.Profile(), Rtk(options)
+    profile.enable()
+    for rover, base in pairs:
+        engine.step(rover, base, table, base_position_ecef_m=base_ecef_m)
+    profile.disable()
+    return np.array(used[WARM:]), solutions, pstats.Stats(profile)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
+    data = parser.parse_args().data
+    print("| case | epochs | satellites | ambiguities | fixed % | ms median | ms mean | ms p99 |")
+    print("|---|---|---|---|---|---|---|---|")
+    stages = {}
+    for name, folder, rover, base, nav, base_ecef_m, systems, frequencies in CASES:
+        pairs, table = load(data / folder, rover, base, nav)
+        ms, solutions, profile = run(pairs, table, np.array(base_ecef_m), RtkOptions(systems=systems, frequencies=frequencies))
+        fixed = np.mean([s.status is Status.FIX for s in solutions]) * 100.0
+        print(
+            f"| {name} | {len(pairs)} | {np.median([s.satellites_used for s in solutions]):.0f} | {np.median([s.ambiguities for s in solutions]):.0f} "
+            f"| {fixed:.1f} | {np.median(ms):.2f} | {ms.mean():.2f} | {np.percentile(ms, 99):.2f} |"
+        )
+        stages[name] = {
+            stage: 1e3 * sum(row[3] for (_, _, function), row in profile.stats.items() if function == stage) / len(pairs)
+            for stage in STAGES
+        }
+    print("\n| stage (profiled: slower than above), ms per epoch | " + " | ".join(stages) + " |\n|---|" + "---|" * len(stages))
+    for stage in STAGES:
+        print(f"| {stage} | " + " | ".join(f"{stages[name][stage]:.2f}" for name in stages) + " |")
+
+
+if __name__ == "__main__":
+    main()
