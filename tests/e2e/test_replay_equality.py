@@ -73,10 +73,12 @@ def offline(name: str, data: Path) -> tuple[Deployment, list[Solution]]:
 
 @pytest.mark.e2e
 @pytest.mark.data
-@pytest.mark.parametrize("name", ["replay_rinex.toml", "replay_ubx.toml", "replay_rtcm3.toml"])
-def test_every_solution_equals_the_offline_one_bit_for_bit(name: str, data: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "speed"), [("replay_rinex.toml", "max"), ("replay_rinex.toml", "30"), ("replay_ubx.toml", "max"), ("replay_rtcm3.toml", "max")]
+)
+def test_every_solution_equals_the_offline_one_bit_for_bit(name: str, speed: str, data: Path, tmp_path: Path) -> None:
     deployment, solutions = offline(name, data)
-    messages = replayed(name, data, tmp_path, "max")
+    messages = replayed(name, data, tmp_path, speed)
     table = deployment.solver["rtk"]
     names = {"source": "rtk", "start_id": "", "sequence": 0, "mode": table.mode, "rover": table.rover, "base": table.base}
     expected = [solution_message(solution, **names) for solution in solutions]

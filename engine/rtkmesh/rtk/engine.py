@@ -19,7 +19,7 @@ from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.models.single import SinglePoint, SinglePointOptions, single_point
 from rtkmesh.rtk.ambiguity import add_constraints
 from rtkmesh.rtk.filter import OK, posterior, predict_motion, reset_state
-from rtkmesh.rtk.matching import Matcher
+from rtkmesh.rtk.matching import Matcher, distinct
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, CodeScale
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.report import Outcome, from_single, report
@@ -240,7 +240,7 @@ class Rtk:
         differences = observe(
             rover, base, pairs, table, klobuchar_vector(klobuchar), model_ecef_m, state.base_ecef_m, self._conditions(state, age_s)
         )
-        if len(np.unique(pairs.satellite[np.isfinite(differences.table[:, CODE])])) < 4:
+        if distinct(pairs.satellite, np.isfinite(differences.table[:, CODE])) < 4:
             return replace(solution, reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         self._base_s = base.time - state.origin
         layout = self._lay_out(state, differences)
@@ -255,8 +255,8 @@ class Rtk:
             self._prediction = Prediction(resolution.x[:3].copy(), 0.0)
         self._hold(state, resolution)
         self._was_fixed = self._was_fixed or resolution.x is not None
-        epoch = Outcome(differences, layout, outcome, resolution, age_s, self._moves, singles[1])
-        return replace(report(solution, state, epoch), resets=self._resets)
+        epoch = Outcome(differences, layout, outcome, resolution, age_s, self._moves, singles[1], self._resets)
+        return report(solution, state, epoch)
 
     def _conditions(self, state: FilterState, age_s: float) -> Conditions:
         o = self.options
@@ -284,9 +284,8 @@ class Rtk:
         phase = np.isfinite(table[:, PHASE]) & (self.options.mode is not Mode.DGPS)
         keys = [pairs.key[phase]]
         long = float(np.linalg.norm(state.x[:3])) > _LONG_BASELINE_M
-        satellites = np.unique(pairs.satellite[np.isfinite(table[:, CODE])]).astype(np.int64)
         if long:
-            keys = [np.zeros(1, np.int64), satellites, *keys]
+            keys = [np.zeros(1, np.int64), pairs.satellite[np.isfinite(table[:, CODE])].astype(np.int64), *keys]
         sloped = bool(np.any(table[phase, CHANNEL] != 0.0))
         if sloped:
             keys.append(np.full(1, SLOPE_KEY))

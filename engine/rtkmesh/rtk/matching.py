@@ -191,6 +191,31 @@ def _best_pair(
 
 
 @kernel
+def distinct(ordered: NDArray[np.int16], mask: NDArray[np.bool_]) -> int:
+    """Return how many different values a sorted array has where the mask is true."""
+    count, last = 0, -1
+    for k in range(len(ordered)):
+        if mask[k] and ordered[k] != last:
+            last = ordered[k]
+            count += 1
+    return count
+
+
+@kernel
+def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the different values of a sorted array, where each begins, and per entry the number of its value."""
+    n = len(ordered)
+    values, first, index = np.empty(n, np.int16), np.empty(n, np.int64), np.empty(n, np.int64)
+    count = 0
+    for k in range(n):
+        if k == 0 or ordered[k] != ordered[k - 1]:
+            values[count], first[count] = ordered[k], k
+            count += 1
+        index[k] = count - 1
+    return values[:count].copy(), first[:count].copy(), index
+
+
+@kernel
 def _keys(
     satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass, replace
 from math import nan
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.models.single import SinglePoint, SingleStatus
+from rtkmesh.rtk.matching import distinct
 from rtkmesh.rtk.residuals import CN0, ELEVATION_RAD, Differences
 from rtkmesh.rtk.slips import rms
 from rtkmesh.rtk.solution import FIXED, HALF_CYCLE, REJECTED, SLIPPED, USED_CODE, USED_PHASE, Reason, SatelliteTable, Solution, Status
@@ -39,6 +41,7 @@ class Outcome:
     age_s: float
     moves: bool
     base_single: SinglePoint | None
+    resets: int
 
 
 def from_single(rover: Epoch, base: Epoch | None, single: SinglePoint) -> Solution:
@@ -54,9 +57,13 @@ def from_single(rover: Epoch, base: Epoch | None, single: SinglePoint) -> Soluti
         single_position_ecef_m=single.position_ecef_m,
         receiver_clock_s=single.receiver_clock_s,
         satellites_used=int(single.used.sum()),
-        satellites_rover=len(np.unique(rover.satellite)),
-        satellites_base=0 if base is None else len(np.unique(base.satellite)),
+        satellites_rover=_count(rover.satellite),
+        satellites_base=0 if base is None else _count(base.satellite),
     )
+
+
+def _count(ordered: NDArray[np.int16]) -> int:
+    return distinct(ordered, np.ones(len(ordered), np.bool_))
 
 
 def report(solution: Solution, state: FilterState, outcome: Outcome) -> Solution:
@@ -65,18 +72,20 @@ def report(solution: Solution, state: FilterState, outcome: Outcome) -> Solution
     fixed = resolution.x is not None and resolution.P is not None
     x = resolution.x if resolution.x is not None else state.x
     P = resolution.P if resolution.P is not None else state.cov
-    phases = len(np.unique(outcome.differences.pairs.satellite[update.phase_used]))
+    satellites = outcome.differences.pairs.satellite
+    phases = distinct(satellites, update.phase_used)
     status = Status.FIX if fixed else (Status.FLOAT if phases >= 4 else Status.DGPS)
-    used = outcome.differences.pairs.satellite[update.phase_used | update.code_used]
-    out = replace(
+    base, covariance = outcome.base_single, P[:3, :3].copy()
+    motion = _motion(x, P, outcome)
+    return replace(
         solution,
         status=status,
         reason=resolution.reason,
         position_ecef_m=state.base_ecef_m + x[:3],
-        position_cov_ecef_m2=P[:3, :3].copy(),
+        position_cov_ecef_m2=covariance if base is None else covariance + base.position_cov_ecef_m2,
         base_ecef_m=state.base_ecef_m.copy(),
         baseline_ecef_m=x[:3].copy(),
-        baseline_cov_ecef_m2=P[:3, :3].copy(),
+        baseline_cov_ecef_m2=covariance,
         age_s=outcome.age_s,
         ratio=resolution.ratio,
         ratio_threshold=resolution.threshold,
@@ -84,25 +93,26 @@ def report(solution: Solution, state: FilterState, outcome: Outcome) -> Solution
         grade=resolution.grade,
         ambiguities=int((outcome.layout.ambiguity >= 0).sum()),
         ambiguities_fixed=resolution.count,
-        satellites_used=len(np.unique(used)),
+        satellites_used=distinct(satellites, update.phase_used | update.code_used),
         code_rms_m=rms(update.code_residual_m[update.code_used]),
         phase_rms_m=rms(update.phase_residual_m[update.phase_used]),
         nis_per_observation=update.phase_chi2 / update.phase_dof if update.phase_dof > 0.5 else nan,
         satellites=_satellites(state, outcome),
+        resets=outcome.resets,
+        **motion,
     )
-    return _with_motion(out, x, P, outcome)
 
 
-def _with_motion(solution: Solution, x: Vector, P: Matrix, outcome: Outcome) -> Solution:
-    """Add velocity and acceleration of the filter; of a moving base its own velocity is added."""
+def _motion(x: Vector, P: Matrix, outcome: Outcome) -> dict[str, Any]:
+    """Return velocity and acceleration of the filter; of a moving base its own velocity is added. Empty where nothing moves."""
     if not outcome.moves:
-        return solution
+        return {}
     velocity, covariance = x[3:6].copy(), P[3:6, 3:6].copy()
     base = outcome.base_single
     if base is not None and base.has_velocity:
         velocity += base.velocity_ecef_mps
         covariance += base.velocity_cov_ecef_m2ps2
-    return replace(solution, velocity_ecef_mps=velocity, velocity_cov_ecef_m2ps2=covariance, acceleration_ecef_mps2=x[6:9].copy())
+    return {"velocity_ecef_mps": velocity, "velocity_cov_ecef_m2ps2": covariance, "acceleration_ecef_mps2": x[6:9].copy()}
 
 
 def _satellites(state: FilterState, outcome: Outcome) -> SatelliteTable:

@@ -17,7 +17,7 @@ from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, carrier_hz
 from rtkmesh.models.ephemeris_table import IODE, TOE_TOW, TOE_WEEK, EphemerisTable
 from rtkmesh.models.geometry import AZIMUTH, E_X, E_Z, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_model
 from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK
-from rtkmesh.rtk.matching import Pairs
+from rtkmesh.rtk.matching import Pairs, runs
 from rtkmesh.rtk.noise import UNALIGNED_CODE_M, cn0_factor, elevation_variance
 
 Vector = NDArray[np.float64]
@@ -154,13 +154,12 @@ def observe(
 
     Both receivers are modelled with the same issue of each ephemeris, the one that is right for the rover's epoch.
     """
-    satellites, first, index = np.unique(pairs.satellite, return_index=True, return_inverse=True)
+    satellites, first, index = runs(pairs.satellite)
     rows = table.select(satellites, rover.time)
     channel = rover.channel[pairs.rover]
     channel = np.where(channel == NO_CHANNEL, table.channels(pairs.satellite), channel).astype(np.int8)
     wavelength = np.empty(len(pairs))
     wavelengths(pairs.satellite, rover.signal[pairs.rover], channel, wavelength)
-    index = index.astype(np.int64)
     phases: list[Matrix] = []
     geometries: list[Matrix] = []
     for epoch, row, position in ((rover, pairs.rover, rover_ecef_m), (base, pairs.base, base_ecef_m)):

@@ -38,6 +38,8 @@ SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geo
 SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 PREDICTION_LIMIT_M: Final = 0.05  # by how much a fix may leave the prediction, beyond 4 sigma of both
 CONSTRAINED_CANDIDATES: Final = 40  # how many candidates a known length chooses from
+LARGE_COUNT: Final = 24
+SEARCH_EVERY: Final = 5  # epochs between free searches of a large set that has been confirmed
 GLONASS_VOTES: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
 FIX_SIGMA_M: Final = 0.30  # a fix must be this good, or too few of its ambiguities are known
 STRONG_COUNT: Final = 20  # with so many ambiguities that fit, ACCEPT_MANY is enough: their norm is a test in itself
@@ -102,7 +104,7 @@ class Search:
     @property
     def ratio(self) -> float:
         """Second-best over best squared norm."""
-        return min(self.second / max(self.norm, 1e-9), 9999.9) if self.resolved else 0.0
+        return min(self.second / max(self.norm, 1e-9), 9999.9) if self.second < inf else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,6 +139,8 @@ class Validation:
         self._held_since_s = inf
         self._confirmed = 0
         self._shown = False
+        self._since_search = 0
+        self._last: Search | None = None
         self._glonass = False
         self._glonass_votes = 0
         self.slope = (0.0, SLOPE_SIGMA_M)  # of GLONASS phase biases per channel, and its sigma
@@ -155,7 +159,7 @@ class Validation:
         if not self._glonass:
             candidates = everything.take(everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
         held_pairs = _pairs(state, _held(state, everything))
-        free = self._search(state, candidates)
+        free = self._free_search(state, candidates, len(held_pairs))
         if len(held_pairs) >= 3:
             self._watch(state, held_pairs, free)
             held_pairs = _pairs(state, _held(state, everything))
@@ -165,6 +169,18 @@ class Validation:
             self._join(state, candidates, held_pairs)
             self._learn_glonass(state, everything, held_pairs)
         return self._fix(state, everything, free, prediction)
+
+    def _free_search(self, state: FilterState, candidates: Candidates, held: int) -> Search:
+        """Search without regard to what is held; of a large set that has proven itself only every few epochs.
+
+        In between the last search's numbers stand for it, not resolved.
+        """
+        trusted = held >= LARGE_COUNT and self._confirmed >= STREAK_EPOCHS and self._doubts == 0
+        if trusted and self._since_search < SEARCH_EVERY and self._last is not None:
+            self._since_search += 1
+            return replace(self._last, resolved=False)
+        self._since_search, self._last = 1, self._search(state, candidates)
+        return self._last
 
     def _try_new(self, state: FilterState, candidates: Candidates, everything: Candidates, free: Search) -> None:
         """Look for integers without any that are held."""
