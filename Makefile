@@ -10,7 +10,7 @@ NOJIT := $(wildcard tests/gnss tests/models tests/attitude tests/rtk tests/codec
 
 ROS := .venv-ros
 
-.PHONY: help setup demo test ros lint bench fuzz clean
+.PHONY: help setup demo test ros lint coverage bench fuzz clean
 .DEFAULT_GOAL := help
 
 help: ## show this list
@@ -51,6 +51,9 @@ lint: $(READY) ## ruff, pyright, import contract
 	$(BIN)/ruff format --check
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+coverage: setup ## which lines the quick tests reach, kernels included (without compilation: minutes)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -m "not e2e and not slow and not data and not rtklib" --timeout 900 --cov --cov-report=term:skip-covered $(ARGS)
 
 bench: setup ## accuracy and speed beside RTKLIB's on the recordings (RTKMESH_DATA)
 	$(BIN)/python benchmarks/run.py $(ARGS)

@@ -127,12 +127,12 @@ def main() -> int:
     program = shlex.split(options.program) or _PROGRAM
     subprocess.run([*program, "warm", "--json"], check=True, stdout=subprocess.DEVNULL)  # compiling is not what is measured
     report = _measured(cases, program, options)
+    behind = shortfalls(report)
     if options.json:
         print(json.dumps(report, indent=1))
     if options.markdown:
         fill(RESULTS, "accuracy", accuracy_page(report, cases, TITLES))
-        fill(README, "results", accuracy_summary(report, cases, TITLES))
-    behind = shortfalls(report)
+        fill(README, "results", accuracy_summary(report, cases, TITLES, behind))
     for line in behind:
         print(f"behind: {line}", file=sys.stderr)
     failed = any("failed" in rows[OURS] for rows in report.values())

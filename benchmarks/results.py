@@ -2,6 +2,7 @@
 
 import platform
 import re
+import subprocess
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -38,7 +39,16 @@ def fill(page: Path, name: str, text: str) -> None:
 def made() -> str:
     """Return when, with what and on what the figures were made."""
     day = datetime.now(UTC).strftime("%Y-%m-%d")
-    return f"Made {day} with rtkmesh {__version__}, Python {platform.python_version()}, on {_processor()}."
+    return f"Made {day} with rtkmesh {__version__}{_commit()}, Python {platform.python_version()}, on {_processor()}."
+
+
+def _commit() -> str:
+    """Return the commit in brackets, with a plus when files differ from it; nothing outside a checkout."""
+    try:
+        argv = ["git", "-C", str(REPOSITORY), "describe", "--always", "--dirty=+", "--exclude=*"]
+        return f" ({subprocess.run(argv, capture_output=True, text=True, check=True).stdout.strip()})"
+    except (OSError, subprocess.CalledProcessError):
+        return ""
 
 
 def _processor() -> str:
@@ -81,8 +91,8 @@ def _errors(row: Row | None) -> str:
     return f"{row['p50']:.3f} / {row['p95']:.3f}" if row else ""
 
 
-def accuracy_summary(report: Report, cases: Sequence[Case], titles: dict[str, str]) -> str:
-    """Return the short table of the README: right fixes, wrong fixes and cost beside rnx2rtkp."""
+def accuracy_summary(report: Report, cases: Sequence[Case], titles: dict[str, str], behind: Sequence[str]) -> str:
+    """Return the short table of the README: right fixes, wrong fixes and cost beside rnx2rtkp, and where we are behind it."""
     columns = ["recording", "right fixes %", "", "wrong fixes", "", "h95 / v95 m", "", "CPU ms/epoch", ""]
     rows: list[list[str]] = [["", *["rtkmesh", "RTKLIB"] * 4]]
     names = list(titles)[:2]
@@ -90,8 +100,10 @@ def accuracy_summary(report: Report, cases: Sequence[Case], titles: dict[str, st
         pair = [report[case.name].get(name, {}) for name in names]
         cells = [[_right(row) for row in pair], [_number(row.get("wrong_fixes"), "d") for row in pair]]
         cells += [[_p95(row) for row in pair], [_number(row.get("cpu_ms_per_epoch"), ".2f") for row in pair]]
-        rows.append([f"{case.name} ({case.epochs})", *[cell for both in cells for cell in both]])
-    return f"{table(columns, rows)}\n{made()}\n"
+        mark = " †" if case.against == "own median" else ""
+        rows.append([f"{case.name} ({case.epochs}){mark}", *[cell for both in cells for cell in both]])
+    confession = f" Behind rnx2rtkp: {'; '.join(behind)}." if behind else ""
+    return f"{table(columns, rows)}\n{made()}{confession}\n"
 
 
 def _right(row: Row) -> str:

@@ -4,6 +4,7 @@ Four rules keep old and new programs talking: new fields have defaults, types of
 reused, and a new major version is refused by name instead of guessed at.
 """
 
+import threading
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -26,6 +27,8 @@ _encoder = msgspec.msgpack.Encoder()
 _json_encoder = msgspec.json.Encoder()
 _decoders: dict[type[Any], msgspec.msgpack.Decoder[Any]] = {}
 _json_decoders: dict[type[Any], msgspec.json.Decoder[Any]] = {}
+# msgspec builds what it knows of a struct on first use, and two threads that do so at once end the process (seen with 0.20: SIGSEGV).
+_making = threading.Lock()
 
 # Types whose first incompatible change has happened; all others are at 1.
 MAJORS: Final[dict[str, int]] = {}
@@ -53,7 +56,8 @@ def decode(type_: type[T], data: bytes, encoding: str = "") -> T:
         return decode_json(type_, data)
     decoder = _decoders.get(type_)
     if decoder is None:
-        decoder = _decoders[type_] = msgspec.msgpack.Decoder(type_)
+        with _making:
+            decoder = _decoders[type_] = msgspec.msgpack.Decoder(type_)
     try:
         return decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
@@ -64,7 +68,8 @@ def decode_json(type_: type[T], data: bytes) -> T:
     """Return the struct in JSON ``data``; DecodeError if it is none."""
     decoder = _json_decoders.get(type_)
     if decoder is None:
-        decoder = _json_decoders[type_] = msgspec.json.Decoder(type_)
+        with _making:
+            decoder = _json_decoders[type_] = msgspec.json.Decoder(type_)
     try:
         return decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

@@ -185,6 +185,17 @@ def test_a_base_that_stands_still_in_time(recording):
     assert np.abs(positions(solutions) - TRUTH).max() < 0.08
 
 
+def test_a_base_that_loses_messages(recording):
+    """When a base epoch lacks a system, the system comes from the epoch before: all stay in use, the fix holds."""
+    rover, base, ephemerides = recording
+    whole, _ = run(*recording)
+    partial = [e if k == 0 else e.take((e.satellite < 64) == (k % 2 == 0)) for k, e in enumerate(base)]
+    solutions, _ = run(rover, partial, ephemerides)
+    assert all(s.status is Status.FIX for s in solutions)
+    assert np.abs(positions(solutions) - TRUTH).max() < 0.03
+    assert solutions[-1].satellites_used >= whole[-1].satellites_used - 1
+
+
 def test_time_that_runs_back_resets_the_filter(recording):
     rover, base, ephemerides = recording
     order = [0, 1, 2, 0, 1, 2]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.frames import enu_from_ecef_at
-from rtkmesh.gnss.signals import BEIDOU, GLONASS, SBAS
+from rtkmesh.gnss.signals import BEIDOU, GLONASS, SATELLITES_PER_SYSTEM, SBAS
 from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.models.single import SinglePoint, SinglePointOptions, single_point
@@ -23,7 +23,7 @@ from rtkmesh.rtk.matching import Matcher, distinct
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, CodeScale
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.report import Outcome, from_single, report
-from rtkmesh.rtk.residuals import CHANNEL, CODE, PHASE, WAVELENGTH, Conditions, Differences, observe
+from rtkmesh.rtk.residuals import CHANNEL, CODE, PHASE, WAVELENGTH, Conditions, Differences, combine, observe
 from rtkmesh.rtk.slips import KNOWN_SLIP, find_slips
 from rtkmesh.rtk.solution import Reason, Solution
 from rtkmesh.rtk.state import (
@@ -69,6 +69,7 @@ _IONOSPHERE_WALK_PPM: Final = 0.012e-6  # per square root of second
 _ZENITH_SIGMA_M: Final = 0.02
 _ZENITH_WALK_M: Final = 5e-5  # per square root of second
 _SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
+_COMPLEMENT_S: Final = 10.0  # how much older a base epoch may be that gives a system which the newest lacks
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
 
 
@@ -88,6 +89,7 @@ class Rtk:
         self._resets = 0
         self._was_fixed = False
         self._base_s = nan
+        self._bases: list[Epoch] = []
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""
@@ -234,13 +236,10 @@ class Rtk:
         self, state: FilterState, solution: Solution, rover: Epoch, base: Epoch, table: EphemerisTable,
         klobuchar: KlobucharParameters | None, singles: tuple[SinglePoint, SinglePoint | None],
     ) -> Solution:  # fmt: skip
-        pairs = self._matcher.match(rover, base)
         model_ecef_m = state.base_ecef_m + state.x[:3]
         age_s = rover.time - base.time
-        differences = observe(
-            rover, base, pairs, table, klobuchar_vector(klobuchar), model_ecef_m, state.base_ecef_m, self._conditions(state, age_s)
-        )
-        if distinct(pairs.satellite, np.isfinite(differences.table[:, CODE])) < 4:
+        differences = self._differences(state, rover, base, table, klobuchar_vector(klobuchar))
+        if distinct(differences.pairs.satellite, np.isfinite(differences.table[:, CODE])) < 4:
             return replace(solution, reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         self._base_s = base.time - state.origin
         layout = self._lay_out(state, differences)
@@ -258,14 +257,39 @@ class Rtk:
         epoch = Outcome(differences, layout, outcome, resolution, age_s, self._moves, singles[1], self._resets)
         return report(solution, state, epoch)
 
-    def _conditions(self, state: FilterState, age_s: float) -> Conditions:
+    def _differences(self, state: FilterState, rover: Epoch, base: Epoch, table: EphemerisTable, klobuchar: Vector) -> Differences:
+        """Form the single differences; a system that this base epoch lacks comes from an earlier one.
+
+        Lost messages make such epochs: RTCM 3 sends each system by itself.
+        """
+        if not self._bases or self._bases[-1] is not base:
+            self._bases = [b for b in self._bases if 0.0 < base.time - b.time <= _COMPLEMENT_S] + [base]
+        model_ecef_m, out = state.base_ecef_m + state.x[:3], None
+        missing = set((rover.satellite // SATELLITES_PER_SYSTEM).tolist())
+        for other in reversed(self._bases if self.options.mode is not Mode.MOVING_BASE else [base]):
+            system = other.satellite // SATELLITES_PER_SYSTEM
+            found = missing & set(system.tolist())
+            if not found and out is not None:
+                continue
+            missing -= found
+            part = other if out is None else other.take(np.isin(system, sorted(found)))
+            conditions = self._conditions(state, rover.time - other.time, other.time - state.origin)
+            pairs = self._matcher.match(rover, part)
+            made = observe(rover, part, pairs, table, klobuchar, model_ecef_m, state.base_ecef_m, conditions)
+            out = made if out is None else combine(out, made)
+            if not missing:
+                break
+        assert out is not None
+        return out
+
+    def _conditions(self, state: FilterState, age_s: float, base_s: float) -> Conditions:
         o = self.options
         length = float(np.linalg.norm(state.x[:3]))
         common = (CLOCK_DRIFT_MPS * age_s) ** 2 + (o.noise.ephemeris_m_per_m * length) ** 2
         if length < _LONG_BASELINE_M:
             common += (IONOSPHERE_PPM * length) ** 2
         noise = np.array((o.noise.phase_a_m, o.noise.phase_b_m, o.noise.code_ratio, common))
-        return Conditions(noise, o.elevation_mask_rad)
+        return Conditions(noise, o.elevation_mask_rad, base_s)
 
     def _velocity(self, singles: tuple[SinglePoint, SinglePoint | None]) -> tuple[Vector, Matrix] | None:
         """Return the Doppler velocity relative to the base, with its covariance."""
@@ -329,8 +353,9 @@ class Rtk:
             self.options.slip.time_difference_cyc, self.options.slip.maximum_gap_s, float(self.options.mode is Mode.MOVING_BASE)
         ))  # fmt: skip
         redundancy = find_slips(
-            differences.table[phase], state.history, place, differences.issue[phase], differences.flagged[phase], differences.lock_s[phase],
-            differences.rover_direction[phase], differences.base_direction[phase], times, setup, slip, jump, motion, motion_cov,
+            differences.table[phase], state.history, place, differences.issue[phase], differences.flagged[phase],
+            differences.lock_s[phase], differences.base_s[phase], differences.rover_direction[phase], differences.base_direction[phase],
+            times, setup, slip, jump, motion, motion_cov,
         )  # fmt: skip
         self._predict_fix(state, redundancy, motion, motion_cov)
         known = state.history[place, ARC_EPOCHS] >= 0.0
@@ -373,7 +398,7 @@ class Rtk:
         seen = layout.ambiguity >= 0
         place, history = layout.ambiguity[seen], state.history
         history[place, SEEN_S] = state.time_s
-        history[place, ROVER_S], history[place, BASE_S] = state.time_s, self._base_s
+        history[place, ROVER_S], history[place, BASE_S] = state.time_s, differences.base_s[seen]
         history[place, ROVER_M], history[place, BASE_M] = differences.table[seen][:, 2], differences.table[seen][:, 3]
         history[place, ROVER_LOCK_S], history[place, BASE_LOCK_S] = differences.lock_s[seen].T
         history[place, ISSUE] = differences.issue[seen]

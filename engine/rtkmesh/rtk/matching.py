@@ -222,11 +222,22 @@ def _keys(
     """Return the key and the clock group of each pair, and the number of groups (numbered in the order of their content)."""
     n = len(satellite)
     key, kind, group = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    kinds, groups = np.empty(n, np.int64), 0
     for k in range(n):
         signals, number = int(rover_signal[k]) * 512 + int(base_signal[k]), int(satellite[k])
         key[k] = number * 262144 + signals
         kind[k] = (number // 64) * 262144 + signals
-    kinds = np.unique(kind)
+        place = 0
+        while place < groups and kinds[place] < kind[k]:
+            place += 1
+        if place < groups and kinds[place] == kind[k]:
+            continue
+        for i in range(groups, place, -1):
+            kinds[i] = kinds[i - 1]
+        kinds[place] = kind[k]
+        groups += 1
     for k in range(n):
-        group[k] = np.searchsorted(kinds, kind[k])
-    return key, group, len(kinds)
+        group[k] = 0
+        while kinds[group[k]] != kind[k]:
+            group[k] += 1
+    return key, group, groups

@@ -3,9 +3,9 @@
 The models are undifferenced (``rtkmesh.models.geometry``), so a base epoch of another time needs nothing special.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import isfinite
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,8 @@ class Differences:
     """The single differences of one pair of epochs; all columns go with ``pairs``.
 
     ``table`` is of ``single_differences``; directions are unit vectors receiver to satellite; ``issue`` names the ephemeris; ``flagged``
-    says that either receiver reports a slip; ``half_cycle`` that either has its half cycles open; ``lock_s`` are rover's and base's.
+    (n x 2) says that the rover or the base reports a slip; ``half_cycle`` that either has its half cycles open; ``lock_s`` (n x 2) are
+    rover's and base's; ``base_s`` is the time of the base epoch (on the filter's clock).
     """
 
     pairs: Pairs
@@ -136,14 +137,16 @@ class Differences:
     flagged: NDArray[np.bool_]
     half_cycle: NDArray[np.bool_]
     lock_s: Matrix
+    base_s: Vector
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What of an epoch decides variances and use: the noise parameters and the elevation mask."""
+    """What of an epoch decides variances and use: noise parameters, elevation mask, time of the base epoch (on the filter's clock)."""
 
     noise: Vector
     mask_rad: float
+    base_s: float
 
 
 def observe(
@@ -177,7 +180,7 @@ def observe(
         _reported(rover, pairs.rover), _reported(base, pairs.base), elevation, conditions.mask_rad, conditions.noise, out,
     )  # fmt: skip
     out[:, CHANNEL] = np.where((pairs.satellite // 64 == GLONASS) & (channel != NO_CHANNEL), channel, 0)
-    flags = rover.flags[pairs.rover] | base.flags[pairs.base]
+    flags = np.column_stack((rover.flags[pairs.rover], base.flags[pairs.base]))
     return Differences(
         pairs=pairs,
         table=out,
@@ -186,9 +189,27 @@ def observe(
         azimuth_rad=geometries[0][index, AZIMUTH],
         issue=_issue(rows)[index],
         flagged=(flags & SLIP) != 0,
-        half_cycle=(flags & HALF_CYCLE) != 0,
+        half_cycle=((flags & HALF_CYCLE) != 0).any(axis=1),
         lock_s=np.column_stack((rover.lock_s[pairs.rover], base.lock_s[pairs.base])),
+        base_s=np.full(len(pairs), conditions.base_s),
     )
+
+
+def combine(first: Differences, second: Differences) -> Differences:
+    """Return the differences of both, sorted by satellite; they must not share a system."""
+    a, b = first.pairs, second.pairs
+    satellite = np.concatenate((a.satellite, b.satellite))
+    order = np.argsort(satellite, kind="stable")
+
+    def both(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+        return np.ascontiguousarray(np.concatenate((x, y))[order])
+
+    pairs = Pairs(
+        satellite[order], both(a.rover, b.rover), both(a.base, b.base), both(a.likeness, b.likeness), both(a.group, b.group + a.groups),
+        a.groups + b.groups, both(a.key, b.key),
+    )  # fmt: skip
+    columns = {f.name: both(getattr(first, f.name), getattr(second, f.name)) for f in fields(Differences) if f.name != "pairs"}
+    return Differences(pairs=pairs, **columns)
 
 
 def _reported(epoch: Epoch, row: Indices) -> Matrix:

@@ -47,6 +47,7 @@ def find_slips(
     issue: Vector,
     flagged: NDArray[np.bool_],
     lock_s: Matrix,
+    base_s: Vector,
     rover_direction: Matrix,
     base_direction: Matrix,
     times_s: Vector,
@@ -58,9 +59,9 @@ def find_slips(
 ) -> int:
     """Write per pair NO_SLIP, KNOWN_SLIP (with the jump in cycles) or LOST; the motion of the rover (m, against its model positions).
 
-    ``place`` are rows of ``history``; ``flagged`` is the word of either receiver; ``lock_s`` (n x 2) rover and base; ``times_s`` are now
-    rover, now base, last rover, last base; ``setup`` is threshold (cycles), longest gap (s), 1.0 if the base moves. Return the redundancy
-    of the rover's test.
+    ``place`` are rows of ``history``; ``flagged`` and ``lock_s`` (n x 2) are the words of rover and base; ``base_s`` is the time of each
+    pair's base epoch; ``times_s`` are now rover, now base, last rover, last base; ``setup`` is threshold (cycles), longest gap (s), 1.0 if
+    the base moves. Return the redundancy of the rover's test.
     """
     n = len(place)
     threshold_cyc, longest_gap_s, base_moves = setup[0], setup[1], setup[2] > 0.0
@@ -74,7 +75,7 @@ def find_slips(
         threshold[k] = threshold_cyc * wavelength + (0.25 if together else 1.0) * DRIFT_MPS * rover_dt
         if h[ISSUE] == issue[k] and h[ROVER_S] == times_s[2]:
             change[k] = differences[k, ROVER_PHASE] - h[ROVER_M]
-        if h[ISSUE] == issue[k] and h[BASE_S] == times_s[3] and base_dt > 0.0:
+        if h[ISSUE] == issue[k] and h[BASE_S] == times_s[3] and base_s[k] == times_s[1] and base_dt > 0.0:
             base_change[k] = differences[k, BASE_PHASE] - h[BASE_M]
         if together:
             change[k] -= base_change[k]
@@ -93,9 +94,10 @@ def find_slips(
         h, wavelength = history[place[k]], differences[k, WAVELENGTH]
         if redundancy != UNTESTED and abs(residual[k]) > threshold[k]:
             slip[k] = KNOWN_SLIP
-        if flagged[k] or lost_lock(lock_s[k, 0], h[ROVER_LOCK_S], times_s[0] - h[ROVER_S]):
+        if flagged[k, 0] or lost_lock(lock_s[k, 0], h[ROVER_LOCK_S], times_s[0] - h[ROVER_S]):
             slip[k] = KNOWN_SLIP
-        if base_dt > 0.0 and lost_lock(lock_s[k, 1], h[BASE_LOCK_S], times_s[1] - h[BASE_S]):
+        new_base = base_s[k] != h[BASE_S]  # what a base epoch says counts once, however long it is used
+        if new_base and (flagged[k, 1] or lost_lock(lock_s[k, 1], h[BASE_LOCK_S], base_s[k] - h[BASE_S])):
             slip[k] = KNOWN_SLIP
         gap_s = times_s[0] - h[SEEN_S]
         if gap_s > max(longest_gap_s, 2.5 * rover_dt) or (gap_s > 1.5 * rover_dt and not lock_s[k, 0] > gap_s):
@@ -103,7 +105,7 @@ def find_slips(
         if slip[k] != KNOWN_SLIP:
             continue
         jump = residual[k] if redundancy >= REPAIR_REDUNDANCY else np.nan
-        if not together and base_dt > 0.0:
+        if not together and new_base:
             jump -= base_residual[k] if base_redundancy >= REPAIR_REDUNDANCY else np.nan
         jump_cyc[k] = jump / wavelength
         if not isfinite(jump):
@@ -232,16 +234,20 @@ def _spread(weight: Vector, residual_m: Vector, redundancy: int, A: Matrix, moti
 
 @kernel
 def _median(values: Vector) -> float:
-    """Return the median of the finite values (0 if there are none)."""
+    """Return the median of the finite values (0 if there are none); insertion sort, for they are few."""
     kept = np.empty(len(values))
     n = 0
     for k in range(len(values)):
-        if isfinite(values[k]):
-            kept[n] = values[k]
-            n += 1
+        if not isfinite(values[k]):
+            continue
+        place = n
+        while place > 0 and kept[place - 1] > values[k]:
+            kept[place] = kept[place - 1]
+            place -= 1
+        kept[place] = values[k]
+        n += 1
     if n == 0:
         return 0.0
-    kept[:n].sort()
     return kept[n // 2] if n % 2 == 1 else 0.5 * (kept[n // 2 - 1] + kept[n // 2])
 
 
