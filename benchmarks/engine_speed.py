@@ -1,4 +1,6 @@
-"""CPU time per epoch of the engine on recordings (decoding left out), and of its stages: ``python benchmarks/engine_speed.py [--data DIR]``.
+"""CPU time per epoch of the engine on recordings (decoding left out), and of its stages.
+
+Run it with ``python benchmarks/engine_speed.py [--data DIR]``.
 
 The first epochs (compilation, cold caches) are not counted. rnx2rtkp's figures for the same files are in the recordings' README.
 """
@@ -71,10 +73,9 @@ def main():
         pairs, table = load(data / folder, rover, base, nav)
         ms, solutions, profile = run(pairs, table, np.array(base_ecef_m), RtkOptions(systems=systems, frequencies=frequencies))
         fixed = np.mean([s.status is Status.FIX for s in solutions]) * 100.0
-        print(
-            f"| {name} | {len(pairs)} | {np.median([s.satellites_used for s in solutions]):.0f} | {np.median([s.ambiguities for s in solutions]):.0f} "
-            f"| {fixed:.1f} | {np.median(ms):.2f} | {ms.mean():.2f} | {np.percentile(ms, 99):.2f} |"
-        )
+        used, known = (np.median([getattr(s, column) for s in solutions]) for column in ("satellites_used", "ambiguities"))
+        times = f"{np.median(ms):.2f} | {ms.mean():.2f} | {np.percentile(ms, 99):.2f}"
+        print(f"| {name} | {len(pairs)} | {used:.0f} | {known:.0f} | {fixed:.1f} | {times} |")
         stages[name] = {
             stage: 1e3 * sum(row[3] for (_, _, function), row in profile.stats.items() if function == stage) / len(pairs)
             for stage in STAGES

@@ -27,7 +27,7 @@ _encoder = msgspec.msgpack.Encoder()
 _json_encoder = msgspec.json.Encoder()
 _decoders: dict[type[Any], msgspec.msgpack.Decoder[Any]] = {}
 _json_decoders: dict[type[Any], msgspec.json.Decoder[Any]] = {}
-# msgspec builds what it knows of a struct on first use, and two threads that do so at once end the process (seen with 0.20: SIGSEGV).
+# msgspec builds what it knows of a struct on first use, and two threads that do so at once end the process (seen with 0.22: SIGSEGV).
 _making = threading.Lock()
 
 # Types whose first incompatible change has happened; all others are at 1.

@@ -228,7 +228,7 @@ def test_an_excluded_satellite_is_not_used(recording):
 
 
 def test_the_same_code_without_compilation(recording, data):
-    """Three epochs with NUMBA_DISABLE_JIT=1 give the positions of the compiled code (fused operations of the compiler apart)."""
+    """Three epochs with NUMBA_DISABLE_JIT=1 give the positions of the compiled code to a micrometre."""
     rover, base, ephemerides = recording
     program = f"""
 import sys, numpy as np, pathlib
@@ -243,4 +243,4 @@ print(repr(t.positions(t.run(rover[:3], base[:3], ephemerides, options)[0]).toli
     )
     compiled, _ = run(rover[:3], base[:3], ephemerides, replace(OPTIONS, systems="G", frequencies=1))
     plain = np.array(eval(done.stdout))  # our own program's list of lists
-    assert plain == pytest.approx(positions(compiled), abs=1e-4)
+    assert plain == pytest.approx(positions(compiled), abs=1e-6)

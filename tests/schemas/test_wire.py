@@ -1,6 +1,7 @@
 """Bytes on the wire: pinned by golden files, tolerant of newer minor versions, strict about majors."""
 
 import math
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtkmesh_schemas import wire
 from rtkmesh_schemas.command import Code, Reply, Request
 from rtkmesh_schemas.errors import DecodeError, VersionError
 from rtkmesh_schemas.reference import MESSAGES
@@ -101,3 +103,29 @@ def test_a_damaged_message_never_raises_anything_else(name: str, place: int, byt
         decode(MESSAGES[name], bytes(payload))
     except DecodeError:
         return
+
+
+def test_decoders_are_made_one_at_a_time(monkeypatch: pytest.MonkeyPatch):
+    """Two threads that meet a type for the first time do not both build msgspec's knowledge of it: that ends the process."""
+    inside, most, made = threading.Semaphore(0), 0, msgspec.msgpack.Decoder
+    entered = 0
+
+    def slow(type_: type[Any]) -> Any:
+        nonlocal entered, most
+        entered += 1
+        most = max(most, entered)
+        inside.acquire(timeout=0.1)  # the other thread, were it let in, would release it
+        decoder = made(type_)
+        entered -= 1
+        inside.release()
+        return decoder
+
+    monkeypatch.setattr(wire, "_decoders", {})
+    monkeypatch.setattr(msgspec.msgpack, "Decoder", slow)
+    payload = encode(Request(op="status"))
+    threads = [threading.Thread(target=decode, args=(Request, payload)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == 1

@@ -227,7 +227,7 @@ def test_liveliness(make: Make):
     assert changes.get(5.0) == Liveliness("solver", "a", alive=True)
     two.live_token("ingest", "b")
     assert changes.get(5.0) == Liveliness("ingest", "b", alive=True)
-    assert watcher.live() == {"a": "solver", "b": "ingest"}
+    assert watcher.live(5.0) == {"a": "solver", "b": "ingest"}
     first.close()
     assert changes.get(5.0) == Liveliness("solver", "a", alive=False)
     two.close()

@@ -49,6 +49,14 @@ def test_what_a_fresh_process_says_of_itself_holds(state: State, expected: Healt
     assert verdict(living(state, "why"), 101.0) == (expected, "why")
 
 
+def test_what_a_monitor_says_of_others_is_not_said_of_it() -> None:
+    """Else its own reason would come back as a reason, longer every second."""
+    health = living()
+    health.status(status(State.DEGRADED, "rtk stale", id="watch", role="monitor"), 100.0)
+    assert health.check(101.0)
+    assert (health.bad(), health.table(101.0)["watch"]["health"]) == ({}, "ok")
+
+
 def test_limit_of_silence_follows_from_the_table_of_streams() -> None:
     assert stale_after_s(STATUS) == 10.0
 
