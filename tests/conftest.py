@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from rtkmesh_services.runtime.kernel_cache import use_kernel_cache
+
+use_kernel_cache()
 settings.register_profile("tests", deadline=None)
 settings.register_profile("fuzz", deadline=None, max_examples=5000, suppress_health_check=list(HealthCheck))
 settings.load_profile("fuzz" if os.environ.get("RTKMESH_FUZZ") else "tests")

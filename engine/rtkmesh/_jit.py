@@ -14,6 +14,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 _compile: Callable[[Callable[..., Any]], Callable[..., Any]] = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
-def kernel(function: F) -> F:  # noqa: UP047  pyright and numba agree on this form in Python 3.11
+def kernel(function: F) -> F:
     """Compile ``function`` with numba: cached on disk, without the GIL, IEEE division."""
     return cast("F", _compile(function))

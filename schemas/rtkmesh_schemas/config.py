@@ -72,7 +72,6 @@ class NoiseTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     phase_a_m: Positive | None = None
     phase_b_m: NotNegative | None = None
     code_ratio: Positive | None = None
-    doppler_mps: Positive | None = None
 
 
 class DynamicsTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

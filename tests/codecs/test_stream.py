@@ -105,7 +105,7 @@ def test_the_first_epoch_after_a_change_of_protocol_is_all_slips(data: Path):
     count = len(times(first))
     assert count > 30
     epochs = [m for m in messages_of(decoder, log) if isinstance(m, Epoch)]
-    assert len(epochs) == 408 - 29
+    assert len(epochs) == 408 - 2  # three epochs make it sure that UBX is there
     phases = np.isfinite(epochs[0].phase_cyc)
     assert phases.any()
     assert (epochs[0].flags[phases] & SLIP).all()

@@ -145,7 +145,8 @@ def test_bytes_become_a_fix_a_velocity_and_a_heading(world: World) -> None:
 def test_after_stop_there_are_no_solutions_and_after_start_a_fresh_filter(world: World) -> None:
     world.play(8)
     before = len(world.solutions())
-    assert world.ask("rtk", "op=stop").ok
+    stopped = world.ask("rtk", "op=stop")
+    assert (stopped.ok, stopped.state) == (True, "STOPPED")
     world.play(3)
     assert len(world.solutions()) == before
     again = world.ask("rtk", "op=stop")

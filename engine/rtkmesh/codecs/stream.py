@@ -1,9 +1,10 @@
 """One receiver's byte stream to messages: framing, all decoders, and one timeline of epochs.
 
 Epochs leave in the order in which they came, each once; an epoch that was overtaken on its way by a few seconds is passed on
-late (pairing puts it in its place), older ones are refused. A stream may carry the same observations as UBX and as RTCM 3 (a base that logs what it
-sends): then only one of the two is used, because their time tags differ by milliseconds and their phases by integers and a clock
-term, so that every change from one to the other breaks all ambiguities.
+late (pairing puts it in its place), older ones are refused. A stream may carry the same observations as UBX and as RTCM 3 (a
+base that logs what it sends): then only one of the two is used, because their time tags differ by milliseconds and their phases
+by integers and a clock term, so that every change from one to the other breaks all ambiguities. UBX is preferred: it says more
+(Doppler, sigmas, all signals), and an epoch is whole or not there, while RTCM 3 may lose one system's message of five.
 """
 
 from collections import deque
@@ -48,7 +49,8 @@ _SAME_EPOCH_S: Final = 5e-4  # epochs of one protocol that are closer than this 
 _OVERTAKEN_S: Final = 5.0  # an epoch may come after newer ones by this much
 _RECENT: Final = 256  # epochs that are remembered to tell a late one from a repeated one
 _NEW_TIMELINE: Final = 5  # so many rising epochs in the past mean that the clock was set back, not that they are late
-_LEAD_TO_SWITCH: Final = 30  # so many epochs must the other protocol have delivered more before it is taken instead
+_TO_PREFERRED: Final = 3  # epochs of UBX after which it is taken instead of RTCM 3
+_TO_OTHER: Final = 30  # epochs of RTCM 3 without one of UBX between after which UBX counts as gone
 _TELL_TIME_S: Final = 3600.0
 _OTHER_SOURCE: Final = "of the other source"
 
@@ -59,7 +61,7 @@ class Timeline:
     def __init__(self, source: ObservationSource) -> None:
         self._fixed = None if source is ObservationSource.AUTO else Protocol(source.value)
         self._chosen = self._fixed
-        self._lead = 0  # epochs of other protocols minus epochs of the chosen one
+        self._others = 0  # epochs of the other protocol since the last one of the chosen protocol
         self._last: GpsTime | None = None
         self._recent: deque[GpsTime] = deque(maxlen=_RECENT)
         self._past: list[GpsTime] = []
@@ -86,14 +88,17 @@ class Timeline:
     def switches(self, protocol: Protocol) -> bool:
         """Count an epoch of a protocol; return whether it becomes the chosen one with it.
 
-        The protocol that delivers more wins: of a damaged log, or when a receiver is told to send the other one.
+        The preferred one is taken when it has come a few times, the other one when the preferred one is gone.
         """
         if self._fixed or self._chosen is None:
             return False
-        self._lead = max(self._lead + 1, 0) if protocol is not self._chosen else max(self._lead - 1, 0)
-        if self._lead < _LEAD_TO_SWITCH:
+        if protocol is self._chosen:
+            self._others = 0
             return False
-        self._chosen, self._lead = protocol, 0
+        self._others += 1
+        if self._others < (_TO_PREFERRED if protocol is Protocol.UBX else _TO_OTHER):
+            return False
+        self._chosen, self._others = protocol, 0
         return True
 
     def _clock_was_set_back(self, time: GpsTime) -> bool:

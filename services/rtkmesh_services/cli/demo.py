@@ -1,7 +1,6 @@
 """``rtkmesh demo``: the main job on simulated receivers, with the truth beside it."""
 
 import math
-import os
 import re
 import subprocess
 import sys
@@ -16,7 +15,6 @@ import numpy as np
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
-import rtkmesh
 import rtkmesh_services
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage
@@ -31,6 +29,7 @@ from rtkmesh_services.cli.up import EXIT_FAILED, Foreground, print_json
 from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.control.keeper import free_port, is_free
 from rtkmesh_services.runtime.configuration import load_site
+from rtkmesh_services.runtime.kernel_cache import use_kernel_cache
 from rtkmesh_services.runtime.process import leave
 
 if TYPE_CHECKING:
@@ -82,8 +81,7 @@ def demo(
 
 def is_cold() -> bool:
     """Whether no kernel is in the cache yet: five processes would then compile the same ones at once."""
-    cache = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(cache) if cache else Path(rtkmesh.__file__).parent / "rtk"
+    folder = use_kernel_cache()
     return next(folder.rglob("*.nbi"), None) is None
 
 

@@ -13,6 +13,7 @@ from typing import Final
 from cyclopts import App, CycloptsError
 
 from rtkmesh import __version__
+from rtkmesh_services.runtime.kernel_cache import use_kernel_cache
 
 EXIT_DONE, EXIT_NOT_DONE, EXIT_USAGE, EXIT_UNREACHABLE, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -76,6 +77,7 @@ def run(arguments: list[str]) -> int:
 def main() -> None:
     """Run the command line and end the process with its exit code."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads only cost time and memory
+    use_kernel_cache()
     sys.exit(run(sys.argv[1:]))
 
 

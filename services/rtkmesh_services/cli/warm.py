@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from rtkmesh_services.cli.network import EXIT_OK, Json
+from rtkmesh_services.runtime.kernel_cache import forget_old, use_kernel_cache
 
 if TYPE_CHECKING:
     from rtkmesh.codecs.messages import Message
@@ -48,6 +49,7 @@ def warm(*, as_json: Json = False) -> int:
             step(name)
             action()
     kernels = kernel_counts()
+    forget_old(use_kernel_cache())
     took_s = time.monotonic() - began
     if as_json:
         sys.stdout.write(msgspec.json.encode({**msgspec.to_builtins(kernels), "seconds": round(took_s, 2)}).decode() + "\n")

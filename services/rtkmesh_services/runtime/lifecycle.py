@@ -33,7 +33,7 @@ class Lifecycle:
         self.service = service
         self.context = service.context
         self._state, self._reason = State.STARTING, ""
-        self._desk = CommandDesk(service, self.status, self.end)
+        self._desk = CommandDesk(service, self._status_now, self.end)
         self._warm_in_thread = warm_in_thread
         self._warmed = threading.Event()
         self._warm_error: BaseException | None = None
@@ -151,11 +151,20 @@ class Lifecycle:
         self._next_tick_ns = now_ns + round(self.service.tick_s * 1e9)
         if self._desk.opened:
             self.service.tick(now_ns)
-            report = self.service.report()
-            self._become(report.state, report.reason)
+            self._take_state()
         if now_ns >= self._next_status_ns:
             self._publish()
             self._watch_hub()
+
+    def _status_now(self) -> ServiceStatus:
+        """Return the status after what a command has just done."""
+        if self._desk.opened:
+            self._take_state()
+        return self.status()
+
+    def _take_state(self) -> None:
+        report = self.service.report()
+        self._become(report.state, report.reason)
 
     def _become(self, state: State, reason: str = "") -> None:
         if (state, reason) == self._published:

@@ -1,0 +1,61 @@
+"""Where compiled kernels are kept: one folder per state of the engine's sources.
+
+numba looks only at the file of a kernel when it decides whether its compiled form is still good, not at the kernels that it
+calls in other files. A folder named by a hash of all sources makes an old form impossible. This must be called before numba is imported.
+"""
+
+import os
+import sys
+import time
+from hashlib import blake2b
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+VARIABLE: Final = "NUMBA_CACHE_DIR"
+UNUSED_S: Final = 30 * 86400.0  # folders of other states that nobody has used for so long are removed
+
+
+def use_kernel_cache() -> Path:
+    """Point numba to the folder of this engine and return it; below NUMBA_CACHE_DIR if that is set, else in the user's cache."""
+    assert "numba" not in sys.modules or os.environ.get(VARIABLE), "numba has chosen its folder already"
+    state = engine_hash()
+    given = os.environ.get(VARIABLE, "")
+    folder = Path(given) if given.endswith(state) else (Path(given) if given else _user_folder()) / state
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except OSError:
+        from tempfile import gettempdir  # noqa: PLC0415  the exception; every command starts here
+
+        folder = Path(gettempdir()) / f"rtkmesh-{os.getuid()}" / state
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    os.environ[VARIABLE] = str(folder)
+    return folder
+
+
+def engine_hash() -> str:
+    """Return a name for the state of the engine's sources."""
+    spec = find_spec("rtkmesh")
+    assert spec is not None, "the engine is installed with the services"
+    assert spec.origin is not None, "the engine is a package with an __init__"
+    root = Path(spec.origin).parent
+    digest = blake2b(digest_size=8)
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return f"kernels-{digest.hexdigest()}"
+
+
+def forget_old(folder: Path) -> int:
+    """Remove the folders of other states beside this one that have not been used for a month; return how many."""
+    from shutil import rmtree  # noqa: PLC0415  every command starts with this module
+
+    old = [path for path in folder.parent.glob("kernels-*") if path != folder and time.time() - path.stat().st_mtime > UNUSED_S]
+    for path in old:
+        rmtree(path, ignore_errors=True)
+    return len(old)
+
+
+def _user_folder() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if base else Path.home() / ".cache") / "rtkmesh"
