@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 
@@ -34,6 +35,8 @@ class Source(StrEnum):
 class EndOfStream:
     """A stream has ended (replays only)."""
 
+
+_MOST_PENDING: Final = 4096  # navigation data that wait for a rover epoch, live: a rover may be away for days
 
 Navigation = KeplerEphemeris | GlonassEphemeris | KlobucharParameters | ReferenceStation | GlonassBias
 Input = Epoch | Navigation | ReceiverFix | EndOfStream
@@ -148,6 +151,8 @@ class Session:
         else:
             after = self._base_time if source is Source.BASE else None
             self._other_pending.append((after, source, message))
+            if len(self._other_pending) > _MOST_PENDING and not self.options.pairing.replay:
+                self._take(*self._other_pending.popleft()[1:])
 
     def _apply(self, pair: Pair) -> None:
         """Take over the navigation data that count for this pair: earlier in the rover's stream, earlier in time in others."""
