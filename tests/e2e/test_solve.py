@@ -110,7 +110,10 @@ def test_no_solution_is_exit_code_1(data: Path, capsys: pytest.CaptureFixture[st
         (["--rover", "r", "--base", "b", "--base-llh=95,2,3"], "no latitude"),
         (["--rover", "r", "--base", "b", "--base-llh=5,2,3", "--base-ecef=1,2,3"], "both given"),
         (["--rover", "r", "--base", "b", "--date", "14.7.2018"], "no day YYYY-MM-DD"),
-        (["--rover", "r", "--base", "b", "--config", "absent.toml"], "absent.toml"),
+        (["--rover", "r", "--base", "b", "--config", "absent.toml"], "absent.toml: no such file"),
+        (["--rover", "r", "--base", "b", "--base-ecef", "-1,2,x"], "--base-ecef=-1,2,x is not three numbers"),
+        (["--rover", "r", "--mode", "single", "--format", "enu"], "mode 'single' has none"),
+        (["--rover", "r", "--base", "b", "--mode", "fixed"], "fixed_position_ecef_m"),
         (["--rover", "r", "--base", "b", "--mode", "kinematik"], "kinematic"),
         (["--rovr", "r"], "--rover"),
         ([], "--rover"),
@@ -136,6 +139,24 @@ def test_unwritable_output(data: Path, capsys: pytest.CaptureFixture[str]) -> No
     """An output that cannot be opened is exit code 2."""
     assert run(arguments(data, "--out", "/absent/folder/out.pos")) == 2
     assert "/absent/folder/out.pos" in capsys.readouterr().err
+
+
+@pytest.mark.data
+def test_full_disk_is_said_without_traceback(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An output that takes no more is the site's fault: one line, exit code 2."""
+    assert run(arguments(data, "--out", "/dev/full")) == 2
+    assert capsys.readouterr().err == "rtkmesh: /dev/full: No space left on device\n"
+
+
+@pytest.mark.data
+def test_recordings_in_the_wrong_place_are_named(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A navigation file as rover, RTCM 3 logs without any date: said before a line is solved."""
+    nav, stromlo = data / SET / "SEPT078M.21P", data / "stromlo_rtcm"
+    assert run(["solve", "--mode", "single", "--rover", str(nav)]) == 2
+    assert f"{nav} has no observations: it holds rinex navigation" in capsys.readouterr().err
+    logs = ["--rover", f"{stromlo}/week-rollover-STR24.rtcm3", "--base", f"{stromlo}/week-rollover-STR17.rtcm3"]
+    assert run(["solve", *logs]) == 2
+    assert "carries no date" in capsys.readouterr().err
 
 
 def test_help_is_light() -> None:

@@ -16,7 +16,7 @@ from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_schemas.config import AttitudeTable, Deployment, IngestTable, OutputTable, RecorderTable, SolverTable
 from rtkmesh_schemas.keys import ATT, CMD, EPH, OBS, SOL, STATUS, Role
 from rtkmesh_schemas.solution import SolutionMessage
-from rtkmesh_schemas.status import ServiceStatus
+from rtkmesh_schemas.status import ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.service import AttitudeService
 from rtkmesh_services.ingest.links import Chunk
@@ -118,6 +118,28 @@ class World:
         return decode(ServiceStatus, self.buses[name].sent(STATUS)[-1].payload)
 
 
+def test_at_first_processes_wait_then_they_are_stale(world: World) -> None:
+    """Nothing heard yet is no alarm for the first seconds."""
+    for after_s, state in ((1.0, State.RUNNING), (5.0, State.STALE)):
+        world.clock.advance(after_s)
+        world.settle()
+        for name, text in (("rtk", "rover"), ("heading", "vector")):
+            status = world.status(name)
+            assert (status.state, text in status.reason) == (state, True)
+    world.play(1)
+    assert world.status("rtk").state is not State.STALE
+
+
+def test_loaded_options_are_the_ones_that_are_told(world: World) -> None:
+    """After load, config tells the loaded options; a file that the engine refuses changes nothing."""
+    (world.folder / "night.toml").write_text('[solver]\nrover = "x"\nbase = "y"\nmode = "static"\n')
+    (world.folder / "bad.toml").write_text('[solver]\nrover = "x"\nbase = "y"\nmode = "fixed"\n')
+    assert world.ask("rtk", "op=load;file=night.toml").ok
+    assert not world.ask("rtk", "op=load;file=bad.toml").ok
+    table = world.ask("rtk", "op=config").data["table"]
+    assert (table["mode"], table["rover"]) == ("static", "rover")
+
+
 @pytest.fixture
 def world(tmp_path: Path) -> World:
     return World(tmp_path)
@@ -192,8 +214,29 @@ def test_a_restarted_ingest_is_taken_up_again(world: World) -> None:
     world.play(10)
     world.lives["rover"].finish()
     world.begin("rover")
-    world.play(10)
+    world.play(15)
     assert world.solutions()[-1].status_name == "FIX"
+    assert world.solutions()[-1].tow_s == pytest.approx(START.tow_s + 24 / RATE_HZ)
+
+
+def test_a_second_process_of_the_same_id_is_named_and_not_listened_to(world: World) -> None:
+    """Another vehicle's rover on the same network, by mistake under the same id."""
+    stranger = Context(id="rover", role=Role.INGEST, deployment=world.deployment, bus=MemoryBus("rover", world.network), clock=world.clock)
+    world.lives["stranger"] = Lifecycle(IngestService(stranger), warm_in_thread=False)
+    world.play(5)
+    world.lives["stranger"].start()
+    world.lives["stranger"].step(0.0)
+    world.streams["stranger"] = simulated("heading")
+    world.play(10)
+    fixed = [s for s in world.solutions() if s.status_name == "FIX"]
+    assert len(fixed) >= 8
+    told = truth("demo", seed=SEED)
+    last = fixed[-1]
+    error = np.subtract(last.position_ecef_m, told(GpsTime(last.week, last.tow_s)).antennas_ecef_m["rover"])
+    assert np.linalg.norm(error) < 0.05
+    world.clock.advance(1.1)
+    world.settle()
+    assert "two processes publish as rover" in world.status("rtk").reason
 
 
 def test_the_recorder_writes_what_came_and_never_over_it(world: World) -> None:

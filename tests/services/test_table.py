@@ -17,7 +17,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import ServiceStatus, State
 from rtkmesh_services.cli.board import Board
 from rtkmesh_services.cli.demo import Score
-from rtkmesh_services.cli.table import View, process_table, solution_table, supervised
+from rtkmesh_services.cli.table import Truth, View, process_table, solution_table, supervised
 from rtkmesh_services.runtime.clock import ManualClock
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 
@@ -106,6 +106,22 @@ def test_latency_of_another_hosts_clock_is_left_out() -> None:
     assert network.take().solutions["rtk"].latency_ms.quantiles(network.clock.mono_ns()) is None
 
 
+@pytest.mark.parametrize("width", range(90, 160, 7))
+def test_the_truths_column_is_shown_whole_and_columns_stay_while_digits_change(width: int) -> None:
+    """Signs and digits of a moving baseline make no column come or go, and none is cut."""
+    shown = []
+    for east_m in (0.6, -0.6):
+        network = Network()
+        network.publish(SOL, "heading_rtk", solution(mode="moving-base", baseline_enu_m=(east_m, 0.8, -0.0), age_s=-1e-9, ratio=3.25))
+        truth = Truth(lambda _id, _message: (0.001, -0.002, 0.003), lambda _id, _message: None)
+        lines = printed(solution_table(network.take().solutions, network.clock.mono_ns(), truth, width), width).splitlines()
+        assert "+0.001 -0.002 +0.003" in lines[3]
+        assert max(len(line) for line in lines) <= width
+        assert "-0.0 " not in lines[3]
+        shown.append(lines[1].split())
+    assert shown[0] == shown[1]
+
+
 @pytest.mark.parametrize("width", [40, 60, 80, 100, 140, 200])
 def test_table_fits_any_width_and_always_tells_id_and_state(width: int) -> None:
     network = Network()
@@ -118,7 +134,7 @@ def test_table_fits_any_width_and_always_tells_id_and_state(width: int) -> None:
     assert any("heading_rtk" in line and "FLOAT" in line for line in lines)
     if width >= 100:
         assert "52.50000000 13.40000000 80.000" in text
-        assert "1.000 m  E 0.600 N 0.800 U 0.000" in text
+        assert "1.000 m  E +0.600 N +0.800 U +0.000" in text
 
 
 def test_solution_that_has_stopped_coming_says_how_old_it_is() -> None:

@@ -35,19 +35,21 @@ class AttitudeService(Service):
         self._antennas = [] if solver is None else [solver.base, solver.rover]
         self._sequence = self._errors = 0
         self._heard_s: float | None = None
+        self._opened_s = 0.0
         self._last: AttitudeMessage | None = None
         self._counts: Counter[str] = Counter()
         self._latency_ms = RollingQuantiles()
 
     def open(self) -> None:
         """Subscribe to the solver."""
+        self._opened_s = self._now_s()
         self.context.subscribe(SOL.key(self._table.solver), lane="sol")
 
     def handle(self, item: Any) -> None:
         """Turn one solution into an attitude."""
         if not isinstance(item, Sample):
             return
-        self._heard_s = self.context.clock.mono_ns() * 1e-9
+        self._heard_s = self._now_s()
         try:
             solution = decode(SolutionMessage, item.payload, item.encoding)
         except (DecodeError, VersionError):
@@ -63,7 +65,7 @@ class AttitudeService(Service):
 
     def report(self) -> Report:
         """Tell how old the input is and how the attitudes were."""
-        age_s = None if self._heard_s is None else self.context.clock.mono_ns() * 1e-9 - self._heard_s
+        age_s = None if self._heard_s is None else self._now_s() - self._heard_s
         state, reason = self._health(age_s)
         last = self._last
         return Report(
@@ -80,9 +82,14 @@ class AttitudeService(Service):
         self._sequence += 1
         return identity
 
+    def _now_s(self) -> float:
+        return self.context.clock.mono_ns() * 1e-9
+
     def _health(self, age_s: float | None) -> tuple[State, str]:
-        if age_s is None or age_s > STALE_S:
+        if self._now_s() - (self._heard_s or self._opened_s) > STALE_S:
             return State.STALE, f"no solutions from {self._table.solver}"
+        if age_s is None:
+            return State.RUNNING, f"waiting for {self._table.solver}"
         if self._last is not None and self._last.integrity != Integrity.OK.value:
             return State.DEGRADED, self._last.reason
         return State.RUNNING, ""

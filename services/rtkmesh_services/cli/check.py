@@ -1,6 +1,9 @@
 """``rtkmesh check``: every fault of a deployment file at once."""
 
 import sys
+from collections.abc import Callable
+from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +13,7 @@ from cyclopts import Parameter
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_services.cli.network import EXIT_OK, EXIT_USAGE, Json
+from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.errors import SourceError
 
 
@@ -33,7 +37,7 @@ def check(
     except ConfigErrors as error:
         errors = error.errors
     else:
-        errors = _source_errors(file, deployment)
+        errors = url_errors(file, deployment)
     if as_json:
         rows = [{"file": error.file, "line": error.line, "message": error.message} for error in errors]
         sys.stdout.write(msgspec.json.encode({"ok": not errors, "errors": rows, "processes": _processes(deployment)}).decode() + "\n")
@@ -46,24 +50,43 @@ def check(
     return EXIT_USAGE if errors else EXIT_OK
 
 
-def _source_errors(file: Path, deployment: Deployment) -> list[ConfigError]:
-    """Return the faults of the sources' URLs, and files that are not there."""
-    from rtkmesh_services.ingest.urls import parse_source
+def url_errors(file: Path, deployment: Deployment) -> list[ConfigError]:
+    """Return the faults of the sources and targets: their URLs and dates, and recordings that are not there."""
+    from rtkmesh_services.output.targets import parse_target
     from rtkmesh_services.runtime.logs import clean
     from rtkmesh_services.runtime.toml_lines import lines_of
 
     lines = lines_of(file.read_text())
     errors: list[ConfigError] = []
-    for id, table in deployment.ingest.items():  # noqa: A001  the word of the design
+
+    def examine(path: tuple[str, str, str], look: Callable[[], object]) -> None:
         try:
-            source = parse_source(table.source)
-            _ = source.speed
-            if source.scheme == "file" and not Path(source.path).is_file():
-                raise SourceError(f"{source.path!r}: no such file")
+            look()
         except SourceError as error:
-            line = lines.get(("ingest", id, "source"))
-            errors.append(ConfigError(str(file), line, f"[ingest.{id}] source: {clean(str(error))}"))
-    return errors
+            errors.append(ConfigError(str(file), lines.get(path), f"[{path[0]}.{path[1]}] {path[2]}: {clean(str(error))}"))
+
+    for id, source in deployment.ingest.items():  # noqa: A001  the word of the design
+        examine(("ingest", id, "source"), partial(_look_at_source, source.source))
+        examine(("ingest", id, "date"), partial(_look_at_date, source.date))
+    for id, output in deployment.output.items():  # noqa: A001
+        examine(("output", id, "target"), partial(parse_target, output.target))
+    return sorted(errors, key=lambda error: error.line or 0)
+
+
+def _look_at_source(url: str) -> None:
+    from rtkmesh_services.ingest.urls import parse_source
+
+    source = parse_source(url)
+    _ = source.speed
+    if source.scheme == "file" and not Path(source.path).is_file():
+        raise SourceError(f"{source.path!r}: no such file")
+
+
+def _look_at_date(text: str) -> None:
+    try:
+        _ = text and date.fromisoformat(text)
+    except ValueError:
+        raise SourceError(f"{text!r} is no day YYYY-MM-DD") from None
 
 
 def _processes(deployment: Deployment | None) -> list[dict[str, Any]]:
@@ -74,3 +97,12 @@ def _processes(deployment: Deployment | None) -> list[dict[str, Any]]:
     for role in ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor"):
         rows += [{"role": role, "id": id} for id in getattr(deployment, role)]  # noqa: A001  the word of the design
     return rows
+
+
+app = command_page(
+    check,
+    """
+    rtkmesh check config/demo.toml
+    rtkmesh check robot.toml --json
+    """,
+)

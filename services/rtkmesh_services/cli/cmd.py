@@ -4,10 +4,11 @@ import json
 import sys
 from typing import Annotated, Any
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, EXIT_USAGE, Connect, Json, Namespace, exit_code, reach
+from rtkmesh_services.cli.page import command_page
 
 # An operation's first bare words, in order: ``load FILE`` is load with file=FILE.
 _POSITIONAL = {
@@ -22,21 +23,15 @@ _POSITIONAL = {
     "output": ("id", "lines"),
 }
 
-_EXAMPLES = """\
-[bold]Examples[/bold]
-
-  rtkmesh cmd rover_rtk stop
-  rtkmesh cmd rover_rtk load night.toml
-  rtkmesh cmd '*' status --json
-  rtkmesh cmd control restart id=rover
-
-Exit codes: 0 done, 1 failed, 2 wrong usage, 3 not reachable, 4 refused, 124 no answer in time.
+_EXAMPLES = """
+rtkmesh cmd rtk stop
+rtkmesh cmd rtk load night.toml
+rtkmesh cmd rtk help
+rtkmesh cmd '*' status --json
+rtkmesh cmd control restart rover
 """
 
-app = App(name="cmd", help_epilogue=_EXAMPLES, help_format="rich")
 
-
-@app.default
 def cmd(
     id: Annotated[str, Parameter(help="The process's id, or '*' for all.")],  # noqa: A002  the word of the design
     op: Annotated[str, Parameter(help="What to do: status, help, config, metrics, log, shutdown, and what its role can.")],
@@ -51,6 +46,8 @@ def cmd(
 
     An empty answer is turned into its cause: absent, hung, or refused. The same can be asked by any Zenoh program with a get
     on rtk/ID/cmd (JSON, msgpack, or ?op=status).
+
+    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 not reachable, 4 refused, 124 no answer in time.
     """
     from rtkmesh_services.runtime.calls import call
 
@@ -112,5 +109,12 @@ def _print_value(name: str, value: Any, out: Any, depth: int) -> None:
         out.write(f"{indent}{name}:\n")
         for inner, item in value.items():  # pyright: ignore[reportUnknownVariableType]  any plain data
             _print_value(str(inner), item, out, depth + 1)  # pyright: ignore[reportUnknownArgumentType]
+    elif isinstance(value, list) and any(isinstance(item, (dict, str)) for item in value):  # pyright: ignore[reportUnknownVariableType]
+        out.write(f"{indent}{name}:\n")
+        for item in value:  # pyright: ignore[reportUnknownVariableType]
+            out.write(f"{indent}  {item if isinstance(item, str) else json.dumps(item)}\n")
     elif value not in ({}, [], None, ""):
         out.write(f"{indent}{name}: {value if isinstance(value, (str, int, float)) else json.dumps(value)}\n")
+
+
+app = command_page(cmd, _EXAMPLES)

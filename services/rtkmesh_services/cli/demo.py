@@ -24,6 +24,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import State
 from rtkmesh_services.cli.board import FIX, Board
 from rtkmesh_services.cli.network import Json
+from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.cli.table import Truth, View
 from rtkmesh_services.cli.up import EXIT_FAILED, Foreground, print_json
 from rtkmesh_services.control.fleet import LaunchOptions
@@ -258,3 +259,13 @@ def _quantile(values: list[float], percent: float) -> float:
 
 def _rounded(value: float, digits: int) -> float | None:
     return round(value, digits) if math.isfinite(value) else None
+
+
+app = command_page(
+    demo,
+    """
+    rtkmesh demo
+    rtkmesh demo --seconds 30 --json
+    rtkmesh demo --rate 10 --seed 7
+    """,
+)

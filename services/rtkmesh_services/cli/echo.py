@@ -6,7 +6,7 @@ import time
 from typing import Annotated, Any, Final
 
 import msgspec
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from rtkmesh_schemas.errors import SchemaError
 from rtkmesh_schemas.keys import ROOT, STREAMS, Stream, stream_of
@@ -14,6 +14,7 @@ from rtkmesh_schemas.observation import Observation
 from rtkmesh_schemas.reference import MESSAGES
 from rtkmesh_schemas.wire import Wire, decode
 from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, EXIT_OK, EXIT_TIMEOUT, Connect, Json, Namespace, reach
+from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.inbox import Inbox
 from rtkmesh_services.runtime.logs import clean
@@ -22,20 +23,14 @@ _COLUMN_TYPES: Final = {"channel": "<b", "flags": "<B"}
 _PREVIEW_BYTES: Final = 64
 _POLL_S: Final = 0.2
 
-_EXAMPLES = """\
-[bold]Examples[/bold]
-
-  rtkmesh echo rover_rtk/sol -n 1
-  rtkmesh echo '*/event/*' --json
-  rtkmesh echo 'rover/eph/*'
-
-Exit codes: 0 done, 3 not reachable, 124 nothing came within --timeout.
+_EXAMPLES = """
+rtkmesh echo rtk/sol -n 1
+rtkmesh echo rtk/sol/llh
+rtkmesh echo '*/event/*' --json
+rtkmesh echo 'rover/eph/*'
 """
 
-app = App(name="echo", help_epilogue=_EXAMPLES, help_format="rich")
 
-
-@app.default
 def echo(
     expression: Annotated[str, Parameter(help="A key expression, with or without the leading rtk/: rover/sol, '*/status', 'rtk/**'.")],
     /,
@@ -46,7 +41,10 @@ def echo(
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
 ) -> int:
-    """Print messages as they come: ours decoded, others raw. Cached ones (status, event, eph, ref) come at once."""
+    """Print messages as they come: ours decoded, others raw. Cached ones (status, event, eph, ref) come at once.
+
+    Exit codes: 0 done, 3 not reachable, 124 nothing came within --timeout.
+    """
     expression = full_expression(expression)
     inbox, shown, last_s = Inbox(), 0, time.monotonic()
     with reach(connect, namespace) as bus:
@@ -129,3 +127,6 @@ def _column(code: str, data: bytes) -> list[Any]:
 def _short(value: Any) -> str:
     text = msgspec.json.encode(value).decode() if isinstance(value, (list, tuple, dict)) else str(value)
     return text if len(text) <= 400 else f"{text[:400]} ..."  # an epoch has hundreds of numbers
+
+
+app = command_page(echo, _EXAMPLES)

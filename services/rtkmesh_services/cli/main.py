@@ -20,17 +20,17 @@ EXIT_DONE, EXIT_NOT_DONE, EXIT_USAGE, EXIT_UNREACHABLE, EXIT_INTERRUPTED = 0, 1,
 # name -> (where, one line of help)
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "solve": ("rtkmesh_services.cli.solve:app", "Solve recordings offline (RINEX, UBX, RTCM 3) and write RTKLIB's .pos format."),
-    "demo": ("rtkmesh_services.cli.demo:demo", "Run everything on simulated receivers, with the truth beside it."),
-    "up": ("rtkmesh_services.cli.up:up", "Run all processes of a deployment file."),
-    "run": ("rtkmesh_services.cli.run:run", "Run one process of a deployment in the foreground."),
+    "demo": ("rtkmesh_services.cli.demo:app", "Run everything on simulated receivers, with the truth beside it."),
+    "up": ("rtkmesh_services.cli.up:app", "Run all processes of a deployment file."),
+    "run": ("rtkmesh_services.cli.run:app", "Run one process of a deployment in the foreground."),
     "cmd": ("rtkmesh_services.cli.cmd:app", "Ask a process to do something: start, stop, restart, load FILE, status, shutdown, help."),
-    "status": ("rtkmesh_services.cli.status:status", "Show the state of all processes of a running network."),
-    "top": ("rtkmesh_services.cli.top:top", "Watch a running network: positions, headings, processes."),
+    "status": ("rtkmesh_services.cli.status:app", "Show the state of all processes of a running network."),
+    "top": ("rtkmesh_services.cli.top:app", "Watch a running network: positions, headings, processes."),
     "echo": ("rtkmesh_services.cli.echo:app", "Print messages as they come."),
-    "check": ("rtkmesh_services.cli.check:check", "Check a deployment file: every fault with line, key and nearest name."),
-    "warm": ("rtkmesh_services.cli.warm:warm", "Compile the engine's kernels into the cache."),
-    "keys": ("rtkmesh_services.cli.show:keys", "Print the table of keys."),
-    "schema": ("rtkmesh_services.cli.show:schema", "Print the JSON Schema of a message or of the deployment file."),
+    "check": ("rtkmesh_services.cli.check:app", "Check a deployment file: every fault with line, key and nearest name."),
+    "warm": ("rtkmesh_services.cli.warm:app", "Compile the engine's kernels into the cache."),
+    "keys": ("rtkmesh_services.cli.show:keys_app", "Print the table of keys."),
+    "schema": ("rtkmesh_services.cli.show:schema_app", "Print the JSON Schema of a message or of the deployment file."),
 }
 
 

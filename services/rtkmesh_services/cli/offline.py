@@ -7,14 +7,17 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Final
 
 from rtkmesh.codecs.messages import Message
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.session import EndOfStream, Session, SessionOptions, Source
 from rtkmesh.rtk.solution import Reason, Solution, Status
+from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.recording import Recording, RecordingKind, open_recording
+
+_WITHOUT_EPOCHS: Final = frozenset({RecordingKind.NAVIGATION, RecordingKind.NMEA})
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,16 +99,20 @@ class Tally:
 def open_inputs(rover: Path, base: Path | None, navigation: tuple[Path, ...], date: GpsTime | None) -> Inputs:
     """Return the opened recordings. An RTCM 3 log without ``date`` takes it from the other receiver's recording, if that has one."""
     paths = [rover, *([base] if base else []), *navigation]
+    receivers = paths[: 1 + bool(base)]
     with ExitStack() as stack:
         recordings: list[Recording] = []
         for path in paths:
             recordings.append(open_recording(path, date))
             stack.callback(recordings[-1].close)
+            if path in receivers and recordings[-1].kind in _WITHOUT_EPOCHS:
+                raise SourceError(f"{path} has no observations: it holds {recordings[-1].kind.value}")
         undated = {recording.path for recording in recordings if recording.kind is RecordingKind.RTCM3}
         if date is None and undated:
             date = next((time for path in paths if path not in undated and (time := _first_epoch(path)) is not None), None)
-            if date is not None:
-                return open_inputs(rover, base, navigation, date)
+            if date is None:
+                raise SourceError(f"{min(undated)}: an RTCM 3 log carries no date, and nothing else here does: say --date YYYY-MM-DD")
+            return open_inputs(rover, base, navigation, date)
         stack.pop_all()
     return Inputs(recordings[0], recordings[1] if base else None, tuple(recordings[1 + bool(base) :]))
 

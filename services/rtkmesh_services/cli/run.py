@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.keys import Role
+from rtkmesh_services.cli.page import command_page
 
 
 def run(
@@ -50,3 +51,13 @@ def run(
         return zenoh_bus.open_bus(id, endpoints, namespace=deployment.deployment.namespace)
 
     leave(run_service(module.create, role=role, id=id, site=site, open_bus=open_bus))
+
+
+app = command_page(
+    run,
+    """
+    rtkmesh run hub --config robot.toml
+    rtkmesh run ingest --id rover --config robot.toml
+    rtkmesh run solver --id rtk --config robot.toml
+    """,
+)

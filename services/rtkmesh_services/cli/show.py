@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from rtkmesh_schemas.keys import STREAMS
 from rtkmesh_services.cli.network import EXIT_OK, EXIT_USAGE, Json
+from rtkmesh_services.cli.page import command_page
 
 
 def keys(
@@ -52,3 +53,21 @@ def schema(
         return EXIT_USAGE
     sys.stdout.write(json_schema_text(name))
     return EXIT_OK
+
+
+keys_app = command_page(
+    keys,
+    """
+    rtkmesh keys
+    rtkmesh keys --json
+    """,
+)
+
+schema_app = command_page(
+    schema,
+    """
+    rtkmesh schema
+    rtkmesh schema SolutionMessage
+    rtkmesh schema Deployment > deployment.schema.json
+    """,
+)

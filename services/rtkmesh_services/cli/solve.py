@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, cast
 
 import msgspec
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from rtkmesh import __version__
 from rtkmesh_schemas.config import ModeName, SolverTable
 from rtkmesh_schemas.errors import ConfigError
+from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.errors import SourceError
 
 if TYPE_CHECKING:
@@ -35,18 +36,13 @@ _FLAGS_OF_KEYS = {
 }
 
 
-_EXAMPLES = """\
-[bold]Examples[/bold]
-
-  rtkmesh solve --rover rover.obs --base base.obs --nav base.nav --out rover.pos
-  rtkmesh solve --rover rover.ubx --base base.ubx --base-llh=52.1,4.4,43.2
-  rtkmesh solve --rover rover.rtcm3 --base base.rtcm3 --date 2018-07-14 --json
-  rtkmesh solve --mode moving-base --rover front.ubx --base rear.ubx --format enu
-  rtkmesh solve --mode single --rover rover.ubx.gz
-
+_EXAMPLES = """
+rtkmesh solve --rover rover.obs --base base.obs --nav base.nav --out rover.pos
+rtkmesh solve --rover rover.ubx --base base.ubx --base-llh 52.1,4.4,43.2
+rtkmesh solve --rover rover.rtcm3 --base base.rtcm3 --date 2018-07-14 --json
+rtkmesh solve --mode moving-base --rover front.ubx --base rear.ubx --format enu
+rtkmesh solve --mode single --rover rover.ubx.gz
 """
-
-app = App(name="solve", help_epilogue=_EXAMPLES, help_format="rich")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,11 +64,13 @@ class Request:
     base_ecef: Annotated[
         str | None,
         Parameter(
-            help="Position of the base antenna as X,Y,Z in metres, written with '=': --base-ecef=X,Y,Z. "
-            "Default: what its recording says (RTCM 1005/1006 or the RINEX header)."
+            allow_leading_hyphen=True,
+            help="Position of the base antenna as X,Y,Z in metres. Default: what its recording says (RTCM 1005/1006 or the RINEX header).",
         ),
     ] = None
-    base_llh: Annotated[str | None, Parameter(help="The same as LAT,LON,H in degrees and metres above the ellipsoid.")] = None
+    base_llh: Annotated[
+        str | None, Parameter(allow_leading_hyphen=True, help="The same as LAT,LON,H in degrees and metres above the ellipsoid.")
+    ] = None
     date: Annotated[
         str | None,
         Parameter(help="Day on which RTCM 3 logs begin, YYYY-MM-DD: they carry no date. Not needed beside a dated recording."),
@@ -97,7 +95,6 @@ class Request:
     quiet: Annotated[bool, Parameter(negative="", show_default=False, help="No progress bar and no summary.")] = False
 
 
-@app.default
 def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     """Solve recordings offline, with the engine of the running system, and write RTKLIB's .pos format.
 
@@ -109,6 +106,10 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     table = _solver_table(request)
     if request.base is None and table.mode != "single":
         raise SourceError(f"mode '{table.mode}' needs --base (or say --mode single)")
+    if table.mode == "single" and request.coordinates == "enu":
+        raise SourceError("--format enu is the baseline from the base, and mode 'single' has none")
+    if table.mode == "fixed" and table.fixed_position_ecef_m is None:
+        raise SourceError("mode 'fixed' needs the rover's position: fixed_position_ecef_m in the [solver] table of a --config file")
     position = _base_position(request)
     date = _date(request.date) if request.date else None
 
@@ -118,8 +119,13 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
 
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date)
     run = Run(inputs, session_options(table, replay=True, base_position_ecef_m=position))
-    with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()) as bar:
-        _write(run, run.solutions(), request, output, bar)
+    try:
+        with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()) as bar:
+            _write(run, run.solutions(), request, output, bar)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise SourceError(f"{request.out or 'standard output'}: {error.strerror}") from error
     report(run, as_json=request.as_json, quiet=request.quiet)
     return _SOLVED if run.tally.solved else _UNSOLVED
 
@@ -147,6 +153,8 @@ def _configured(path: Path) -> SolverTable:
     """Return the one solver of a solver file ([solver]) or of a deployment file ([solver.NAME]); ConfigError names all faults."""
     from rtkmesh_services.runtime.configuration import load_deployment, load_solver_table
 
+    if not path.is_file():
+        raise ConfigError(str(path), None, "no such file")
     path = path.resolve()
     if not _has_named_solvers(path):
         return load_solver_table(path.name, path.parent)
@@ -247,3 +255,6 @@ def _notes(run: "Run", first: "Solution") -> list[tuple[str, str]]:
     ]
     base = first.base_ecef_m.tolist()
     return [*notes, ("ref pos", position_note(base))] if all(map(isfinite, base)) else notes
+
+
+app = command_page(solve, _EXAMPLES)

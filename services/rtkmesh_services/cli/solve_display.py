@@ -9,10 +9,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rtkmesh.rtk.solution import Status
+from rtkmesh.rtk.solution import Reason, Status
 from rtkmesh_services.cli.offline import Run
 
 _DRAW_EVERY: Final = 50  # epochs
+_HINTS: Final = {
+    Reason.NO_BASE_POSITION: " (say --base-llh LAT,LON,H or --base-ecef X,Y,Z)",
+    Reason.NO_EPHEMERIS: " (give a recording that has navigation data with --nav)",
+}
 
 
 class ProgressBar:
@@ -66,7 +70,7 @@ def _table(run: Run) -> Table:
     table.add_row("largest age", f"{tally.largest_age_s:.1f} s")
     table.add_row("solving", f"{1e3 * tally.solving_s / max(1, tally.epochs):.2f} ms an epoch, {tally.total_s:.1f} s in all")
     for reason, count in tally.reasons.most_common(4):
-        table.add_row("why not RTK", f"{reason.name.lower().replace('_', ' ')}: {count} epochs")
+        table.add_row("why not RTK", f"{reason.name.lower().replace('_', ' ')}: {count} epochs{_HINTS.get(reason, '')}")
     for name, counts in run.faults().items():
         for reason, count in sorted(counts.items(), key=lambda item: -item[1])[:3]:
             table.add_row("rejected", f"{name}: {reason} ({count})")

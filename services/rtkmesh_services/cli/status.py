@@ -10,11 +10,13 @@ from cyclopts import Parameter
 from rtkmesh_schemas.command import Reply
 from rtkmesh_schemas.status import InputStatus, ServiceStatus, State
 from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, EXIT_FAILED, EXIT_OK, EXIT_UNREACHABLE, Connect, Json, Namespace, reach
+from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.runtime.logs import clean
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+_WIDE = 200  # away from a terminal
 _COLOURS = {
     State.RUNNING: "green",
     State.DEGRADED: "yellow",
@@ -75,7 +77,7 @@ def _exit_code(replies: list[Reply]) -> int:
 def _print(replies: list[Reply], *, watch: bool) -> None:
     from rich.console import Console
 
-    console = Console()
+    console = Console() if sys.stdout.isatty() else Console(width=_WIDE)
     if watch and console.is_terminal:
         console.clear()
     console.print(_table(replies) if replies else "the hub answers, but no process is on the network")
@@ -109,3 +111,13 @@ def _input(row: InputStatus) -> str:
 def _duration(seconds: float) -> str:
     minutes, hours = seconds / 60.0, seconds / 3600.0
     return f"{seconds:.0f}s" if minutes < 2.0 else f"{minutes:.0f}min" if hours < 2.0 else f"{hours:.0f}h"
+
+
+app = command_page(
+    status,
+    """
+    rtkmesh status
+    rtkmesh status --watch
+    rtkmesh status --json --connect tcp/192.168.1.20:7547
+    """,
+)

@@ -42,35 +42,40 @@ _COLOURS: Final = {
 _DIAGONAL: Final = (0, 4, 8)  # of a row-major 3x3
 _WIDE: Final = 200
 _FREE_TEXT, _FREE_TEXT_WIDTH = "says", 24
+_GAP, _EDGES = 3, -1  # what rich's SIMPLE_HEAD puts between two columns, and around all of them when each is given one gap
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table. Those of the highest ``rank`` go first when the terminal is too narrow."""
+    """A column of a table. Those of the highest ``rank`` go first when the terminal is too narrow.
+
+    ``least`` is its usual width, so that columns do not come and go with every digit.
+    """
 
     name: str
     rank: int = 0
     right: bool = False
+    least: int = 0
 
 
 _SOLUTIONS: Final = (
     Column("solver"),
     Column("state"),
-    Column("position / baseline", 1),
+    Column("position / baseline", 1, least=35),
     Column("sigma H, V m", 4, right=True),
     Column("age s", 6, right=True),
-    Column("ratio", 7, right=True),
-    Column("sats", 5, right=True),
-    Column("latency ms", 3, right=True),
+    Column("ratio", 7, right=True, least=6),
+    Column("sats", 5, right=True, least=5),
+    Column("latency ms", 3, right=True, least=13),
 )
 _ATTITUDES: Final = (
     Column("attitude"),
     Column("state"),
     Column("integrity", 4),
-    Column("heading deg", 1, right=True),
-    Column("pitch deg", 3, right=True),
+    Column("heading deg", 1, right=True, least=13),
+    Column("pitch deg", 3, right=True, least=13),
     Column("length error m", 6, right=True),
-    Column("latency ms", 5, right=True),
+    Column("latency ms", 5, right=True, least=13),
 )
 _PROCESSES: Final = (
     Column("process"),
@@ -171,7 +176,7 @@ def solution_table(tracks: Mapping[str, Track[SolutionMessage]], now_ns: int, tr
             error = truth.position(id_, message)
             cells += _cells("-" if error is None else " ".join(f"{part:+.3f}" for part in error))
         rows.append(cells)
-    return _table([*_SOLUTIONS, *([Column("error E, N, U m", 2, right=True)] if truth else [])], rows, width)
+    return _table([*_SOLUTIONS, *([Column("error E, N, U m", 2, right=True, least=20)] if truth else [])], rows, width)
 
 
 def attitude_table(tracks: Mapping[str, Track[AttitudeMessage]], now_ns: int, truth: Truth | None = None, width: int = _WIDE) -> Table:
@@ -248,9 +253,8 @@ def _sigma(message: SolutionMessage) -> tuple[float, float]:
 def _place(message: SolutionMessage) -> str:
     if message.mode == "moving-base":
         length_m = math.sqrt(sum(part * part for part in message.baseline_enu_m))
-        return f"{_number(length_m, 3)} m  " + " ".join(
-            f"{name} {_number(part, 3)}" for name, part in zip("ENU", message.baseline_enu_m, strict=True)
-        )
+        parts = (f"{name} {_signed(part)}" for name, part in zip("ENU", message.baseline_enu_m, strict=True))
+        return f"{_number(length_m, 3)} m  {' '.join(parts)}"
     if not math.isfinite(message.lat_deg):
         return message.reason or "-"
     return f"{message.lat_deg:.8f} {message.lon_deg:.8f} {message.height_m:.3f}"
@@ -271,7 +275,11 @@ def _inputs(status: ServiceStatus) -> str:
 
 
 def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+    return f"{value:z.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3f}" if math.isfinite(value) else "-"
 
 
 def _pair(first: float, second: float) -> str:
@@ -284,7 +292,8 @@ def _cells(*cells: str | Text) -> list[Text]:
 
 def _table(columns: list[Column], rows: list[list[Text]], width: int) -> Table:
     """Return a table of the columns that fit; free text at its end is cut to what is left."""
-    widths = [max([cell_len(column.name), *(row[i].cell_len for row in rows)]) + 2 for i, column in enumerate(columns)]
+    width -= _EDGES
+    widths = [max([column.least, cell_len(column.name), *(row[i].cell_len for row in rows)]) + _GAP for i, column in enumerate(columns)]
     if columns[-1].name == _FREE_TEXT:
         widths[-1] = min(widths[-1], _FREE_TEXT_WIDTH)
     kept = list(range(len(columns)))
@@ -295,12 +304,12 @@ def _table(columns: list[Column], rows: list[list[Text]], width: int) -> Table:
     for i in kept:
         column = columns[i]
         free = column.name == _FREE_TEXT
-        room = max(widths[i], width - sum(widths[k] for k in kept if k != i)) - 2
+        room = max(widths[i], width - sum(widths[k] for k in kept if k != i)) - _GAP
         table.add_column(
             column.name,
             justify="right" if column.right else "left",
             no_wrap=True,
-            min_width=None if free else widths[i] - 2,
+            min_width=None if free else widths[i] - _GAP,
             max_width=room,
         )
     for row in rows:

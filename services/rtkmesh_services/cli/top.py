@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from rtkmesh_services.cli.board import Board
 from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, Connect, Namespace, reach
+from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.cli.table import Display, View, once
 
 _SETTLE_S: Final = 1.2  # a status comes once a second
@@ -54,3 +55,12 @@ def take_for(board: Board, seconds: float) -> None:
     end_s = time.monotonic() + seconds
     while (left_s := end_s - time.monotonic()) > 0.0:
         board.take(left_s)
+
+
+app = command_page(
+    top,
+    """
+    rtkmesh top
+    rtkmesh top --connect tcp/192.168.1.20:7547
+    """,
+)

@@ -14,7 +14,9 @@ from cyclopts import Parameter
 
 from rtkmesh_schemas.keys import CONTROL_ID, Role
 from rtkmesh_services.cli.board import Board
+from rtkmesh_services.cli.check import url_errors
 from rtkmesh_services.cli.network import Json
+from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.cli.table import Display, View
 from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.control.keeper import Keeper, is_free
@@ -22,7 +24,7 @@ from rtkmesh_services.control.service import ControlService, keeper_of
 from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.errors import BusError, UnreachableError
 from rtkmesh_services.runtime.bus import Bus, endpoints_for
-from rtkmesh_services.runtime.configuration import HUB_ID, Site, load_site
+from rtkmesh_services.runtime.configuration import HUB_ID, ConfigErrors, Site, load_site
 from rtkmesh_services.runtime.process import leave, run_service
 from rtkmesh_services.runtime.service import Context, Service
 
@@ -46,13 +48,11 @@ def up(
 
     Ctrl-C ends them all; none is left, whatever happens to this process. On a terminal it shows a live table.
 
-    For example:
-      rtkmesh up config/demo.toml
-      rtkmesh up config/replay_ubx.toml --data ../shared/data --speed max --exit-at-end
-
     Exit codes: 0 ended as asked, 1 a process failed (with --exit-at-end), 2 the file or the site is at fault, such as a busy port.
     """
     site = load_site(file, data, speed)
+    if errors := url_errors(file, site.deployment):
+        raise ConfigErrors(errors)
     options = LaunchOptions(site.file, site.data_folder, speed)
     ends = AtEnd(site) if exit_at_end else never
     foreground = Foreground(site, options, as_json=as_json, quiet=quiet, ends=ends)
@@ -195,6 +195,10 @@ class AtEnd:
         for row in foreground.processes():
             if row["state"] == ProcessState.FAILED:
                 return f"{row['role']} {row['id']} FAILED: {row['reason']}", EXIT_FAILED
+        for id_ in self._receivers & set(foreground.board.statuses):
+            status, _ = foreground.board.statuses[id_]
+            if any(row.state == "error" for row in status.inputs):
+                return f"ingest {id_}: {status.reason}", EXIT_FAILED
         ended = {id_ for id_, (status, _) in foreground.board.statuses.items() if status.data.get("end")}
         if self._waited <= ended:
             return "all recordings are at their end", 0
@@ -240,3 +244,13 @@ def print_json(value: dict[str, Any]) -> None:
     """Print one JSON line."""
     sys.stdout.write(json.dumps(value, default=str) + "\n")
     sys.stdout.flush()
+
+
+app = command_page(
+    up,
+    """
+    rtkmesh up config/demo.toml
+    rtkmesh up config/replay_ubx.toml --data ../shared/data
+    rtkmesh up config/replay_ubx.toml --data ../shared/data --speed max --exit-at-end
+    """,
+)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from rtkmesh_services.cli.network import EXIT_OK, Json
+from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.runtime.kernel_cache import forget_old, use_kernel_cache
 
 if TYPE_CHECKING:
@@ -144,3 +145,12 @@ class _LiveLine:
 
     def __exit__(self, *_: object) -> None:
         self._status.stop()
+
+
+app = command_page(
+    warm,
+    """
+    rtkmesh warm
+    NUMBA_CACHE_DIR=/opt/rtkmesh/kernels rtkmesh warm --json
+    """,
+)

@@ -143,7 +143,10 @@ class SerialWire:
 
     def write(self, data: bytes) -> None:
         """Send bytes to the receiver."""
-        self._port.write(data)
+        try:
+            self._port.write(data)
+        except TypeError as error:  # pyserial's way of saying that the reader has closed the port meanwhile
+            raise ConnectionError("the port was closed") from error
 
     def close(self) -> None:
         """Close the port."""
@@ -192,7 +195,7 @@ class Link:
             except SourceError as error:
                 self._sink(LinkReport(LinkState.ERROR, str(error)))
             except OSError as error:
-                self._sink(LinkReport(LinkState.ERROR, f"{self._where()}: {os.strerror(error.errno) if error.errno else error}"))
+                self._sink(LinkReport(LinkState.ERROR, f"{self._where()}: {error.strerror or error}"))
             self._stop.wait(backoff_s)
             backoff_s = min(BACKOFF_LAST_S, 2.0 * backoff_s)
         if self._listener is not None:

@@ -23,6 +23,7 @@ from rtkmesh_schemas.wire import decode
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.credit import CreditGate
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
+from rtkmesh_services.ingest.recording import RawRecording, Recording
 from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, Simulation, common_start, date_of, gps_now, recording_of
 from rtkmesh_services.ingest.stream import StreamPublisher
 from rtkmesh_services.ingest.urls import SourceUrl, parse_source
@@ -50,6 +51,7 @@ class IngestService(Service):
         self._gate = CreditGate(consumers_of(context), patience_s=0.0 if self._url.scheme != "file" or self._url.speed else DEAD_CONSUMER_S)
         self._decode_ms = RollingQuantiles()
         self._link: Link | None = None
+        self._recording: Recording | None = None
         self._stop_source = threading.Event()
         self._state, self._detail = LinkState.CONNECTING, ""
         self._bytes = self._errors = self._writes = self._writes_lost = 0
@@ -94,12 +96,15 @@ class IngestService(Service):
         age_s = (self.context.clock.mono_ns() - self._heard_ns) * 1e-9
         state, reason = self._health(age_s)
         framing, decoding = self._decoder.framing, self._decoder.decoding
+        if self._recording is not None and self._state is LinkState.ENDED:  # before it, these are its thread's
+            decoding = self._recording.decoding
+            framing = self._recording.framing if isinstance(self._recording, RawRecording) else framing
         newest = self._publisher.newest
         link = InputStatus(
             name=self._url.scheme,
             state=self._state.value,
             detail=self._detail,
-            messages=framing.frames.total(),
+            messages=framing.frames.total() or self._publisher.published.total(),
             bytes=self._bytes,
             age_s=age_s if self._bytes else None,
             errors=framing.checksum_failures.total() + decoding.rejected.total(),
@@ -151,7 +156,7 @@ class IngestService(Service):
     def _play(self, stopping: threading.Event) -> None:
         """Play the recording of a file source (in its own thread)."""
         try:
-            recording = recording_of(self._url, self._table.date, self._table.observations)
+            recording = self._recording = recording_of(self._url, self._table.date, self._table.observations)
             start = common_start(self._all_recordings()) if self._url.speed else None
         except SourceError as error:
             self._sink(LinkReport(LinkState.ERROR, str(error)))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from difflib import get_close_matches
+from math import nan
 from typing import Final
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -16,6 +17,7 @@ SCHEMES: Final[dict[str, dict[str, str]]] = {
     "file": {"speed": "1 real time, 10 ten times as fast, max as fast as the consumers go (default 1)"},
     "sim": {"rate": "epochs per second, default 5", "seed": "default 1"},
 }
+_NUMBERS: Final = ("baud", "timeout", "rate", "seed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +34,12 @@ class SourceUrl:
         """Return an option as a number; SourceError if it is none."""
         text = self.options.get(name, "")
         try:
-            return float(text) if text else default
+            value = float(text) if text else default
         except ValueError:
-            raise SourceError(f"{name}={text!r} is no number") from None
+            value = nan
+        if not 0.0 <= value <= 1e9:
+            raise SourceError(f"{name}={text!r} is no number from 0 on")
+        return value
 
     @property
     def speed(self) -> float:
@@ -72,7 +77,10 @@ def parse_source(text: str) -> SourceUrl:
             raise SourceError(f"{text!r}: unknown option {name!r}{_hint(name, SCHEMES[scheme])}")
     if scheme in ("file", "serial", "sim") and not path:
         raise SourceError(f"{text!r}: needs a path")
-    return SourceUrl(scheme, host, port, unquote(path), options)
+    url = SourceUrl(scheme, host, port, unquote(path), options)
+    for name in _NUMBERS:
+        url.number(name, 1.0)
+    return url
 
 
 def _hint(word: str, known: dict[str, dict[str, str]] | dict[str, str]) -> str:

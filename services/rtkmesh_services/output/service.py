@@ -83,7 +83,7 @@ class OutputService(Service):
             self._target = open_target(self._table.target)
             self._error = ""
         except OSError as error:
-            self._failed(f"{self._table.target}: {error}")
+            self._failed(f"{self._table.target}: {error.strerror or error}")
 
     def _failed(self, error: str) -> None:
         if error != self._error:

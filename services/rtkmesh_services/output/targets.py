@@ -165,9 +165,15 @@ _OPEN: Final[dict[str, Callable[[str, int], Target]]] = {"tcp-listen": TcpListen
 
 def open_target(url: str) -> Target:
     """Return the target of a URL: file://PATH, tcp-listen://HOST:PORT, tcp://HOST:PORT, udp://HOST:PORT."""
+    scheme, where, port = parse_target(url)
+    return FileTarget(Path(where)) if scheme == "file" else _OPEN[scheme](where or "127.0.0.1", port)
+
+
+def parse_target(url: str) -> tuple[str, str, int]:
+    """Return (scheme, path or host, port) of a target's URL; SourceError says what is wrong with it."""
     scheme, found, rest = url.partition("://")
     if scheme == "file" and rest:
-        return FileTarget(Path(rest))
+        return scheme, rest, 0
     if not found or scheme not in _OPEN:
         raise SourceError(f"{url!r}: unknown target; targets are file://, {', '.join(s + '://' for s in _OPEN)}")
     parts = urlsplit(url)
@@ -177,4 +183,4 @@ def open_target(url: str) -> Target:
         port = None
     if not port:
         raise SourceError(f"{url!r}: needs host:port")
-    return _OPEN[scheme](parts.hostname or "127.0.0.1", port)
+    return scheme, parts.hostname or "", port

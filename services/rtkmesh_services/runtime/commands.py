@@ -7,7 +7,7 @@ import difflib
 import logging
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
@@ -117,9 +117,8 @@ class CommandDesk:
         return done("operations", operations={**BASE_OPERATIONS, **self._service.operations})
 
     def _tell_config(self, request: Request) -> Reply:  # noqa: ARG002
-        tables: Any = getattr(self._context.deployment, self._context.role.value, {})
-        table = tables.get(self._context.id) if isinstance(tables, dict) else tables  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]  a role's tables are Any here
-        return done("configuration", table=masked(msgspec.to_builtins(table)), config_hash=self._context.config_hash)
+        table = masked(msgspec.to_builtins(self._service.table()))
+        return done("configuration", table=table, config_hash=self._context.config_hash)
 
     def _tell_metrics(self, request: Request) -> Reply:  # noqa: ARG002
         return done("metrics", values=metric_values(self._status()))

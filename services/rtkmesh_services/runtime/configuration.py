@@ -30,6 +30,7 @@ _REFERENCE: Final = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _UNKNOWN: Final = re.compile(r"unknown field `(?P<name>.*?)`")
 _MISSING: Final = re.compile(r"missing required field `(?P<name>.*?)`")
 _AT: Final = re.compile(r" - at `\$(?P<path>.*?)`$")
+_SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
 _FILE_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 _LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
 _MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
@@ -103,7 +104,12 @@ def _source_with(source: str, speed: str) -> str:
 
 
 def find_data_folder(given: Path | None = None) -> Path | None:
-    """Return the folder of the recordings: the one given, RTKMESH_DATA, or ../shared/data beside a checkout; None without."""
+    """Return the folder of the recordings: the one given, RTKMESH_DATA, or ../shared/data beside a checkout; None without.
+
+    ConfigError when the one given is none.
+    """
+    if given is not None and not given.is_dir():
+        raise ConfigError("--data", None, f"{given} is no folder")
     for candidate in (given, os.environ.get(DATA_VARIABLE), Path(__file__).resolve().parents[4] / "shared" / "data"):
         if candidate and Path(candidate).is_dir():
             return Path(candidate).resolve()
@@ -114,8 +120,7 @@ def parse_deployment(text: str, file: str, data_folder: Path | None = None) -> D
     """Return the deployment in a TOML text; ConfigErrors names everything that is wrong in it."""
     reader = _Reader(file, text, data_folder)
     deployment = reader.deployment()
-    if not reader.errors:
-        _check(reader, deployment)
+    _check(reader, deployment)
     reader.finish()
     return deployment
 
@@ -271,16 +276,17 @@ def _check(reader: _Reader, deployment: Deployment) -> None:
         for id in getattr(deployment, role):  # noqa: A001  the word of the design
             _check_id(reader, owners, role, id)
     for id, solver in deployment.solver.items():  # noqa: A001
-        _check_reference(reader, deployment, "ingest", solver.rover, ("solver", id, "rover"))
+        _check_reference(reader, "ingest", solver.rover, ("solver", id, "rover"))
         if solver.base:
-            _check_reference(reader, deployment, "ingest", solver.base, ("solver", id, "base"))
+            _check_reference(reader, "ingest", solver.base, ("solver", id, "base"))
         elif solver.mode != "single":
             reader.fault(("solver", id), f"[solver.{id}] has no 'base', which mode {solver.mode!r} needs")
         for index, navigation in enumerate(solver.navigation):
-            _check_reference(reader, deployment, "ingest", navigation, ("solver", id, "navigation", str(index)))
+            _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
+        _check_solver(reader, id, solver)
     for role in ("attitude", "output"):
         for id, table in getattr(deployment, role).items():  # noqa: A001
-            _check_reference(reader, deployment, "solver", table.solver, (role, id, "solver"))
+            _check_reference(reader, "solver", table.solver, (role, id, "solver"))
     _check_lists(reader, deployment)
     for index, address in enumerate(deployment.hub.listen):
         if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):
@@ -288,6 +294,14 @@ def _check(reader: _Reader, deployment: Deployment) -> None:
                 ("hub", "listen", str(index)),
                 f"[hub] listen: {address!r} is no loopback address; others could command your receivers: say insecure = true to allow it",
             )
+
+
+def _check_solver(reader: _Reader, id: str, solver: SolverTable) -> None:  # noqa: A002
+    if solver.mode == "fixed" and solver.fixed_position_ecef_m is None:
+        reader.fault(("solver", id, "mode"), f"[solver.{id}] mode 'fixed' needs 'fixed_position_ecef_m', where the rover is")
+    for index, name in enumerate(solver.excluded):
+        if not _SATELLITE.fullmatch(name):
+            reader.fault(("solver", id, "excluded", str(index)), f"[solver.{id}] excluded: {clip(name)!r} is no satellite such as G05")
 
 
 def _check_id(reader: _Reader, owners: dict[str, str], role: str, id: str) -> None:  # noqa: A002
@@ -305,16 +319,17 @@ def _check_id(reader: _Reader, owners: dict[str, str], role: str, id: str) -> No
 def _check_lists(reader: _Reader, deployment: Deployment) -> None:
     for id, table in deployment.recorder.items():  # noqa: A001
         for index, receiver in enumerate(table.receivers):
-            _check_reference(reader, deployment, "ingest", receiver, ("recorder", id, "receivers", str(index)))
+            _check_reference(reader, "ingest", receiver, ("recorder", id, "receivers", str(index)))
     for id, table in deployment.ros2.items():  # noqa: A001
         for index, solver in enumerate(table.solvers):
-            _check_reference(reader, deployment, "solver", solver, ("ros2", id, "solvers", str(index)))
+            _check_reference(reader, "solver", solver, ("ros2", id, "solvers", str(index)))
         for index, attitude in enumerate(table.attitudes):
-            _check_reference(reader, deployment, "attitude", attitude, ("ros2", id, "attitudes", str(index)))
+            _check_reference(reader, "attitude", attitude, ("ros2", id, "attitudes", str(index)))
 
 
-def _check_reference(reader: _Reader, deployment: Deployment, role: str, id: str, path: tuple[str, ...]) -> None:  # noqa: A002
-    known: Mapping[str, Any] = getattr(deployment, role)
+def _check_reference(reader: _Reader, role: str, id: str, path: tuple[str, ...]) -> None:  # noqa: A002
+    tables = reader.raw.get(role)  # also those that have faults of their own
+    known: Mapping[str, Any] = tables if _is_table(tables) else {}
     if id not in known:
         there = nearest(id, list(known)) or f"; there {'are' if len(known) != 1 else 'is'} {_listed(list(known)) or 'none'}"
         reader.fault(path, f"[{path[0]}.{path[1]}] {path[2]}: no [{role}.{id}]{there}")

@@ -109,9 +109,12 @@ def _live(create: CreateService, context: Context, guard: "Guard") -> int:
 def _report_end(context: Context, error: BaseException | None) -> int:
     if error is None:
         return EXIT_OK
+    if isinstance(error, (ServiceError, SchemaError)):  # the fault of the site: a trace of ours would only hide it
+        context.event(Level.ERROR, "site_fault", str(error))
+        return EXIT_SITE
     context.log.error("uncaught: %s", error, exc_info=error)
     context.event(Level.ERROR, "crashed", f"{type(error).__name__}: {error}")
-    return EXIT_SITE if isinstance(error, (ServiceError, SchemaError)) else EXIT_CRASHED
+    return EXIT_CRASHED
 
 
 def _open(open_bus: Callable[[], Bus], guard: "Guard") -> Bus:

@@ -143,6 +143,11 @@ class Service(ABC):
         """Do one of ``operations`` (others do not come here). CommandError becomes an error reply."""
         raise NotImplementedError(f"{type(self).__name__} lists {request.op!r} and does not do it")
 
+    def table(self) -> Any:
+        """Return the service's present table of the deployment file."""
+        tables: Any = getattr(self.context.deployment, self.context.role.value, {})
+        return tables.get(self.context.id) if isinstance(tables, dict) else tables  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]  a role's tables are Any here
+
     def report(self) -> Report:
         """Return how the service is; cheap."""
         return Report()

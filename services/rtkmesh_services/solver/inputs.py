@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from math import inf
 from typing import Final
 
 from rtkmesh.gnss.epoch import Epoch
@@ -29,6 +30,7 @@ TYPES: Final[dict[str, type[Numbered]]] = {
 }
 STREAMS: Final = (OBS, EPH, IONO, REF, END)
 CREDIT_EVERY: Final = 8  # messages
+STRANGER_S: Final = 1.0  # a new start of an ingest is believed when the old one has been silent for so long
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +56,10 @@ class InputStream:
     heard_s: float | None = None
     newest: GpsTime | None = None
     ended: bool = False
+    strangers: int = 0
     fed: int = -1
     credited: int = -2
+    _ours_s: float = -inf
     _open: deque[tuple[int, GpsTime]] = field(default_factory=deque[tuple[int, GpsTime]])
 
     def __post_init__(self) -> None:
@@ -70,10 +74,20 @@ class InputStream:
         except (DecodeError, VersionError):
             self.errors += 1
             return
+        if self._of_another(message.start_id, now_s):
+            self.strangers += 1
+            return
         self.messages[kind] += 1
         anchors = isinstance(message, Observation | EndOfStream)
         for ordered in self.sequencer.take(message, message.start_id, message.sequence, now_s, anchors=anchors):
             yield from self._arrivals(ordered)
+
+    def _of_another(self, start_id: str, now_s: float) -> bool:
+        """Return whether a message is of a second process with this id, while the first one still speaks."""
+        if start_id != self.sequencer.start_id and now_s - self._ours_s < STRANGER_S:
+            return True
+        self._ours_s = now_s
+        return False
 
     def overdue(self, now_s: float) -> Iterator[Arrival]:
         """Yield messages that were held for missing ones for too long."""
@@ -98,7 +112,7 @@ class InputStream:
             age_s=None if self.heard_s is None else now_s - self.heard_s,
             lost=self.sequencer.lost,
             errors=self.errors,
-            counters=dict(self.messages),
+            counters={**self.messages, **({"of_another_process": self.strangers} if self.strangers else {})},
         )
 
     def wanted(self, pending: GpsTime | None, wait_s: float) -> Time | None:

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import msgspec
 
+from rtkmesh.errors import OptionError
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.pairing import Pair
@@ -25,6 +26,7 @@ from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_solver_table
 from rtkmesh_services.runtime.service import Context, Report, Service, done
 from rtkmesh_services.runtime.statistics import RollingQuantiles
+from rtkmesh_services.solver.followers import Followers
 from rtkmesh_services.solver.formats import publish_texts
 from rtkmesh_services.solver.inputs import CREDIT_EVERY, STREAMS, InputStream
 from rtkmesh_services.solver.warming import warm_engine
@@ -32,6 +34,7 @@ from rtkmesh_services.solver.warming import warm_engine
 SATELLITES_PERIOD_NS = 1_000_000_000
 READY_PERIOD_NS = 500_000_000
 STALE_S = 5.0
+FOLLOWERS_S = 10.0  # how long a replay is held for the processes that take the solutions: the first ones shall not be lost
 RECEIVE_TIMES = 1024  # epochs whose arrival is remembered for the latency
 
 
@@ -51,7 +54,7 @@ class SolverService(Service):
         super().__init__(context)
         self._table: SolverTable = context.deployment.solver[context.id]
         self._running = self._table.autostart
-        self._session = Session(self._session_options())
+        self._session = Session(self._session_options(self._table))
         self._inputs = {name: InputStream(name, source, self._ingest(name).replay) for source, name in self._sources()}
         self._sequence = 0
         self._statuses: Counter[str] = Counter()
@@ -59,6 +62,8 @@ class SolverService(Service):
         self._received: dict[GpsTime, int] = {}
         self._newest: Solution | None = None
         self._satellites_ns = self._ready_ns = 0
+        self._opened_s = 0.0
+        self._followers = Followers(context)
 
     def warm(self) -> None:
         """Compile or load the engine's kernels."""
@@ -66,6 +71,8 @@ class SolverService(Service):
 
     def open(self) -> None:
         """Subscribe to the streams and tell replays that we are ready."""
+        self._opened_s = self._now_s()
+        self._followers.watch()
         for name in self._inputs:
             for stream in STREAMS:
                 fields = {"satellite": "*"} if "{satellite}" in stream.template else {}
@@ -91,7 +98,7 @@ class SolverService(Service):
             for arrival in stream.overdue(now_s):
                 self._feed(arrival.source, arrival.message, arrival.received_mono_ns, now_s)
         self._advance()
-        if now_mono_ns - self._ready_ns >= READY_PERIOD_NS:
+        if now_mono_ns - self._ready_ns >= READY_PERIOD_NS or self._followers.came():
             self._ready_ns = now_mono_ns
             self._credit(force=True)
 
@@ -104,6 +111,10 @@ class SolverService(Service):
         if request.op == "start" and self._running:
             raise CommandError(Code.WRONG_STATE, "rtk server already started")
         return self._start("restarted" if request.op == "restart" else "started")
+
+    def table(self) -> SolverTable:
+        """Return the present options: those of the file, or of the last ``load``."""
+        return self._table
 
     def report(self) -> Report:
         """Tell the inputs, what became of the epochs, and how long they took."""
@@ -132,10 +143,14 @@ class SolverService(Service):
     def _ingest(self, name: str) -> IngestTable:
         return self.context.deployment.ingest[name]
 
-    def _session_options(self) -> SessionOptions:
+    def _session_options(self, table: SolverTable) -> SessionOptions:
+        """Return the engine's options of a table with this solver's streams; ConfigError when the engine refuses them."""
         replay = all(self._ingest(name).replay for _, name in self._sources())
-        known = known_position(self._ingest(self._table.base)) if self._table.base else None
-        return session_options(self._table, replay=replay, base_position_ecef_m=known)
+        known = known_position(self._ingest(table.base)) if table.base else None
+        try:
+            return session_options(table, replay=replay, base_position_ecef_m=known)
+        except (OptionError, ValueError) as error:
+            raise ConfigError(self.context.config_file.name, None, f"[solver.{self.context.id}] {error}") from error
 
     def _feed(self, source: Source, message: Any, received_mono_ns: int, now_s: float) -> None:
         if isinstance(message, Epoch):
@@ -188,6 +203,8 @@ class SolverService(Service):
 
     def _credit(self, *, force: bool = False) -> None:
         """Tell replays how far we are; without ``force`` only when it is worth a message."""
+        if not self._followers.here() and self._now_s() < self._opened_s + FOLLOWERS_S:
+            return
         pending = self._session.pairing.waiting_for()
         solved = None if self._newest is None else self._newest.time
         for name, stream in self._inputs.items():
@@ -227,8 +244,9 @@ class SolverService(Service):
             table = load_solver_table(file, self.context.config_folder)
         except ConfigError as error:
             raise CommandError(Code.BAD_ARGUMENTS, str(error)) from error
-        self._table = replace_streams(table, self._table)
-        self._session.restart(self._session_options())
+        table = replace_streams(table, self._table)
+        self._session.restart(self._session_options(table))
+        self._table = table
         self.context.event(Level.INFO, "loaded", f"options of {file} taken, fresh filter")
         return done(f"loaded {file}", mode=table.mode)
 
@@ -242,8 +260,12 @@ class SolverService(Service):
         if self._ended():
             return State.STOPPED, "the recordings are at their end"
         rover = self._inputs[self._table.rover]
-        if rover.heard_s is None or (now_s - rover.heard_s > STALE_S and not rover.replay):
+        if now_s - (rover.heard_s or self._opened_s) > STALE_S and not (rover.replay and rover.heard_s):
             return State.STALE, f"no observations from {rover.name}"
+        if rover.heard_s is None:
+            return State.RUNNING, f"waiting for {rover.name}"
+        if strangers := [stream.name for stream in self._inputs.values() if stream.strangers]:
+            return State.DEGRADED, f"two processes publish as {strangers[0]}: the one heard first is used"
         if self._newest is None:
             return State.RUNNING, "no solution yet"
         if self._newest.status in (Status.NONE, Status.SINGLE) and self._table.mode != "single":
