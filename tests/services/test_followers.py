@@ -39,7 +39,7 @@ class Replay:
     @property
     def is_ready(self) -> bool:
         """Whether the solver has told its receivers that it takes their streams."""
-        return bool(self.bus.sent(CREDIT))
+        return any(sample.key == CREDIT.key("rover") for sample in self.network.sent)
 
 
 def test_a_replay_waits_for_outputs_and_attitudes() -> None:
@@ -50,7 +50,7 @@ def test_a_replay_waits_for_outputs_and_attitudes() -> None:
     taker.live_token("attitude", "heading")
     replay.step(1.0)
     assert not replay.is_ready
-    taker.subscribe(SOL_TEXT.key("rtk", format="llh"), lambda sample: None)
+    taker.subscribe(SOL_TEXT.key("rtk", format="llh"), lambda _: None)
     replay.step(0.05)
     assert replay.is_ready
 

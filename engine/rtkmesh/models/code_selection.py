@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
-from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, GLONASS, carrier_hz
+from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, GLONASS, NO_CHANNEL, carrier_hz
+from rtkmesh.models.ephemeris_table import CHANNEL
 from rtkmesh.models.orbit import group_delay_m
 
 Vector = NDArray[np.float64]
@@ -84,11 +85,16 @@ def _rank(system: int, signal: int) -> int:
 def fill_work(rows: Matrix, satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: NDArray[np.int8], pseudorange_m: Vector,
               doppler_hz: Vector, cn0_dbhz: Vector, sigma_m: Vector, chosen: NDArray[np.int64], free_of_ionosphere: bool,
               work: Matrix) -> None:  # fmt: skip
-    """Fill the work table (n, WORK) from an epoch's columns; ``channel`` is per satellite, ``rows`` the chosen ephemerides."""
+    """Fill the work table (n, WORK) from an epoch's columns; ``rows`` are the chosen ephemerides.
+
+    The GLONASS channel is the receiver's word, else the ephemeris's.
+    """
     for i in range(rows.shape[0]):
         first, second = chosen[i, 0], chosen[i, 1]
-        number, code = int(satellite[first]), int(signal[first])
-        band_hz = carrier_hz(number, code, int(channel[i]))
+        number, code, own = int(satellite[first]), int(signal[first]), int(channel[first])
+        if own == NO_CHANNEL and np.isfinite(rows[i, CHANNEL]):
+            own = int(rows[i, CHANNEL])
+        band_hz = carrier_hz(number, code, own)
         work[i, GROUP] = CLOCK_OF_SYSTEM[number // 64]
         work[i, CODE] = pseudorange_m[first] - group_delay_m(rows[i], code)
         work[i, IONOSPHERE] = (_L1_HZ / band_hz) ** 2 if band_hz > 0.0 else 1.0
@@ -97,10 +103,10 @@ def fill_work(rows: Matrix, satellite: NDArray[np.int16], signal: NDArray[np.int
             other = int(signal[second])
             other_m = float(pseudorange_m[second]) - group_delay_m(rows[i], other)
             noise_m2 = _noise_m2(float(cn0_dbhz[second]), float(sigma_m[second]))
-            _combine(work[i], band_hz, other_m, carrier_hz(number, other, int(channel[i])), noise_m2)
+            _combine(work[i], band_hz, other_m, carrier_hz(number, other, own), noise_m2)
         if number // 64 == GLONASS:
             work[i, NOISE] += _CHANNEL_BIAS_M2
-        work[i, RATE] = _range_rate_mps(satellite, signal, int(channel[i]), doppler_hz, int(first))
+        work[i, RATE] = _range_rate_mps(satellite, signal, own, doppler_hz, int(first))
 
 
 @kernel
@@ -133,4 +139,20 @@ def _range_rate_mps(satellite: NDArray[np.int16], signal: NDArray[np.int16], cha
         if np.isfinite(doppler_hz[i]) and hz > 0.0:
             return -doppler_hz[i] * SPEED_OF_LIGHT_MPS / hz
         i += 1
+    return np.nan
+
+
+@kernel
+def clocks_by_system(work: Matrix, clocks_m: Vector, out: Vector) -> float:
+    """Write the receiver clock (s) by system, NaN where no satellite was used; return that of the first system in use, GPS first."""
+    has_clock = np.zeros(CLOCKS)
+    for i in range(work.shape[0]):
+        if work[i, USED] != 0.0:
+            has_clock[int(work[i, GROUP])] = 1.0
+    for k in range(len(out)):
+        group = CLOCK_OF_SYSTEM[k]
+        out[k] = clocks_m[group] / SPEED_OF_LIGHT_MPS if has_clock[group] != 0.0 else np.nan
+    for group in (0, 2, 3, 1, 4):
+        if has_clock[group] != 0.0:
+            return clocks_m[group] / SPEED_OF_LIGHT_MPS
     return np.nan

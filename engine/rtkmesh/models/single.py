@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.ephemeris import KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch
-from rtkmesh.gnss.signals import MAX_SATELLITE, NO_CHANNEL, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
+from rtkmesh.gnss.signals import MAX_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.code_selection import (
-    CLOCK_OF_SYSTEM,
     CLOCKS,
     RATE_RESIDUAL,
     RATE_USED,
@@ -23,9 +22,10 @@ from rtkmesh.models.code_selection import (
     USED,
     WORK,
     choose_codes,
+    clocks_by_system,
     fill_work,
 )
-from rtkmesh.models.ephemeris_table import CHANNEL, EphemerisTable
+from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.models.geometry import AZIMUTH, ELEVATION, GEOMETRY
 from rtkmesh.models.orbit import STATE, STATE_OK, satellite_states
 from rtkmesh.models.single_adjustment import CONVERGED, QUALITY, UNKNOWNS, adjust_position, adjust_velocity
@@ -121,10 +121,9 @@ def single_point(
     chosen = _choose(epoch, options)
     count, satellites = len(chosen), epoch.satellite[chosen[:, 0]]
     rows = table.select(satellites, epoch.time)
-    channels = _channels(epoch.channel[chosen[:, 0]], rows)
     work, states, geometry = np.zeros((count, WORK)), np.empty((count, STATE)), np.empty((count, GEOMETRY))
     fill_work(
-        rows, epoch.satellite, epoch.signal, channels, epoch.pseudorange_m, epoch.doppler_hz, epoch.cn0_dbhz,
+        rows, epoch.satellite, epoch.signal, epoch.channel, epoch.pseudorange_m, epoch.doppler_hz, epoch.cn0_dbhz,
         epoch.pseudorange_sigma_m, chosen, options.ionosphere is IonosphereModel.FREE, work,
     )  # fmt: skip
     valid = satellite_states(rows, epoch.time.week, epoch.time.tow_s, epoch.pseudorange_m[chosen[:, 0]], states)
@@ -145,7 +144,8 @@ def single_point(
         velocity[:], rate_covariance[:] = nan, nan
     used = work[:, USED] != 0.0
     seen = (states[:, STATE_OK] != 0.0) & (geometry[:, ELEVATION] >= options.elevation_mask_rad)
-    receiver_clock_s, clock_s = _clocks(clocks_m, satellites[used])
+    clock_s = np.empty(len(SYSTEMS))
+    receiver_clock_s = clocks_by_system(work, clocks_m, clock_s)
     scale = max(1.0, quality[0] / quality[1]) if quality[1] > 0.0 else 1.0
     return SinglePoint(
         time=epoch.time,
@@ -163,20 +163,11 @@ def single_point(
         elevation_rad=geometry[:, ELEVATION].copy(),
         residual_m=work[:, RESIDUAL].copy(),
         rate_residual_mps=np.where(work[:, RATE_USED] != 0.0, work[:, RATE_RESIDUAL], nan),
-        rejected=tuple(int(s) for s in satellites[seen & ~used]),
+        rejected=tuple(satellites[seen & ~used].tolist()),
         chi_square=float(quality[0]),
         degrees_of_freedom=int(quality[1]),
         pdop=float(quality[2]),
     )
-
-
-def _clocks(clocks_m: Vector, used: NDArray[np.int16]) -> tuple[float, Vector]:
-    """Return the receiver clock (s) against GPST, or the first system in use, and by system; NaN where no satellite was used."""
-    present = np.zeros(CLOCKS, np.bool_)
-    present[CLOCK_OF_SYSTEM[used // SATELLITES_PER_SYSTEM]] = True
-    by_group = np.where(present, clocks_m / SPEED_OF_LIGHT_MPS, nan)
-    first = next(k for k in (0, 2, 3, 1, 4) if present[k])
-    return float(by_group[first]), by_group[CLOCK_OF_SYSTEM]
 
 
 def _choose(epoch: Epoch, options: SinglePointOptions) -> NDArray[np.int64]:
@@ -206,12 +197,6 @@ def _setup(options: SinglePointOptions) -> Vector:
         options.elevation_mask_rad, options.code_a_m, options.code_b_m, modelled, float(options.troposphere), options.maximum_pdop,
         options.doppler_sigma_mps,
     ))  # fmt: skip
-
-
-def _channels(observed: NDArray[np.int8], rows: Matrix) -> NDArray[np.int8]:
-    """Return the GLONASS channel per satellite: the receiver's word, else the ephemeris's."""
-    known = np.nan_to_num(rows[:, CHANNEL], nan=NO_CHANNEL).astype(np.int8)
-    return np.where(observed == NO_CHANNEL, known, observed)
 
 
 def _without_position(time: GpsTime, status: SingleStatus, satellites: NDArray[np.int16]) -> SinglePoint:

@@ -124,6 +124,50 @@ def condition(x: Vector, P: Matrix, pairs: Indices, integers: Vector, slack: flo
 
 
 @kernel
+def held_references(new_group: Indices, held_group: Indices, held_weight: Vector, out: Indices) -> int:
+    """Write per new ambiguity which held one of its group has the largest weight, -1 for none; return how many have one."""
+    count = 0
+    for k in range(len(new_group)):
+        out[k] = -1
+        for j in range(len(held_group)):
+            if held_group[j] == new_group[k] and (out[k] < 0 or held_weight[j] > held_weight[out[k]]):
+                out[k] = j
+        count += 1 if out[k] >= 0 else 0
+    return count
+
+
+@kernel
+def pack_pairs(pairs: Indices, wanted: Indices) -> int:
+    """Number the states of pairs (n x 2) anew, in place, by their order in ``wanted`` (written, sorted); return how many these are."""
+    count = 0
+    for k in range(pairs.size):
+        state, place = pairs[k // 2, k % 2], count
+        while place > 0 and wanted[place - 1] >= state:
+            place -= 1
+        if place < count and wanted[place] == state:
+            continue
+        for i in range(count, place, -1):
+            wanted[i] = wanted[i - 1]
+        wanted[place] = state
+        count += 1
+    for k in range(pairs.size):
+        place = 0
+        while wanted[place] != pairs[k // 2, k % 2]:
+            place += 1
+        pairs[k // 2, k % 2] = place
+    return count
+
+
+@kernel
+def held_differences(history: Matrix, column: int, pairs: Indices, dynamic: int) -> Vector:
+    """Return the held integers (a column of the history) of (state, reference) pairs."""
+    out = np.empty(len(pairs))
+    for k in range(len(pairs)):
+        out[k] = history[pairs[k, 0] - dynamic, column] - history[pairs[k, 1] - dynamic, column]
+    return out
+
+
+@kernel
 def add_constraints(pairs: Indices, x: Vector, integers: Vector, variance: float, N: Matrix, b: Vector) -> None:
     """Add double differences as observations of this variance (cycles squared) to normal equations for corrections of x."""
     w = 1.0 / variance

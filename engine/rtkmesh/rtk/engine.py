@@ -13,38 +13,41 @@ from numpy.typing import NDArray
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.frames import enu_from_ecef_at
-from rtkmesh.gnss.signals import BEIDOU, GLONASS, SATELLITES_PER_SYSTEM, SBAS
+from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.models.single import SinglePoint, SinglePointOptions, single_point
 from rtkmesh.rtk.ambiguity import add_constraints
+from rtkmesh.rtk.bookkeeping import (
+    apply_slips,
+    begin_ambiguities,
+    candidate_pairs,
+    find_places,
+    grow,
+    is_finite,
+    place_of,
+    remember,
+    systems_of,
+    wanted_keys,
+)
 from rtkmesh.rtk.filter import OK, posterior, predict_motion, reset_state
 from rtkmesh.rtk.matching import Matcher, distinct
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, CodeScale
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.report import Outcome, from_single, report
-from rtkmesh.rtk.residuals import CHANNEL, CODE, PHASE, WAVELENGTH, Conditions, Differences, combine, observe
-from rtkmesh.rtk.slips import KNOWN_SLIP, find_slips
+from rtkmesh.rtk.residuals import CODE, ELEVATION_RAD, Conditions, Differences, combine, observe
+from rtkmesh.rtk.slips import find_slips
 from rtkmesh.rtk.solution import Reason, Solution
 from rtkmesh.rtk.state import (
     ARC_EPOCHS,
-    ARC_S,
-    BASE_LOCK_S,
-    BASE_M,
-    BASE_S,
     FIRST_PAIR_KEY,
-    INTEGER,
-    ISSUE,
-    REJECTS,
-    ROVER_LOCK_S,
-    ROVER_M,
-    ROVER_S,
     SEEN_S,
-    SLIPS,
     SLOPE_KEY,
     ZENITH_KEY,
     FilterState,
-)  # fmt: skip
+    length_m,
+    trace,
+)
 from rtkmesh.rtk.update import Layout, Update, update
 from rtkmesh.rtk.validation import Candidates, LengthConstraint, Prediction, Resolution, Validation
 
@@ -58,9 +61,6 @@ _FORGET_S: Final = 65.0  # beyond this gap nothing is left
 _SEED_SIGMA_M: Final = 30.0
 _SEED_SPEED_MPS: Final = 10.0
 _SEED_ACCELERATION_MPS2: Final = 3.0
-_AMBIGUITY_SIGMA_CYC: Final = 100.0
-_GLONASS_SIGMA_CYC: Final = 20.0  # wavelengths differ by channel: the common part of the ambiguities must be known to some metres
-_KNOWN_SLIP_SIGMA_CYC: Final = 0.2
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
 # From here on the ionosphere is a state per satellite. Nearer, states cost more than they give: at 35 km 30 against 97 % right fixes.
 _LONG_BASELINE_M: Final = 70e3
@@ -89,6 +89,9 @@ class Rtk:
         self._resets = 0
         self._was_fixed = False
         self._base_s = nan
+        self._single: SinglePointOptions | None = None
+        slip = options.slip
+        self._slip_setup = np.array((slip.time_difference_cyc, slip.maximum_gap_s, float(options.mode is Mode.MOVING_BASE), 1.0))
         self._bases: list[Epoch] = []
 
     def reset(self) -> None:
@@ -117,20 +120,19 @@ class Rtk:
             self._state, self._prediction = None, None
             self._validation.reset()
         single = single_point(rover, ephemerides, self._single_options(klobuchar), self._start())
-        solution = from_single(rover, base, single)
         if self.options.mode is Mode.SINGLE:
-            return solution
+            return from_single(rover, base, single)
         base_single = None
         if base is not None and self.options.mode is Mode.MOVING_BASE:
             base_single = single_point(base, ephemerides, self._single_options(klobuchar), base_position_ecef_m)
             base_position_ecef_m = base_single.position_ecef_m if base_single.ok else None
         reason = self._obstacle(rover, base, base_position_ecef_m)
         if reason is not Reason.OK or base is None or base_position_ecef_m is None:
-            return replace(solution, reason=reason)
+            return replace(from_single(rover, base, single), reason=reason)
         state = self._seeded(rover, single, base_position_ecef_m)
         if state is None:
-            return solution
-        return self._relative(state, solution, rover, base, ephemerides, klobuchar, (single, base_single))
+            return from_single(rover, base, single)
+        return self._relative(state, rover, base, ephemerides, klobuchar, (single, base_single))
 
     # --- where the filter starts and how it moves on ---
 
@@ -138,11 +140,14 @@ class Rtk:
         return None if self._state is None else self._state.base_ecef_m + self._state.x[:3]
 
     def _single_options(self, klobuchar: KlobucharParameters | None) -> SinglePointOptions:
-        o = self.options
-        return SinglePointOptions(
+        o, last = self.options, self._single
+        if last is not None and last.klobuchar is klobuchar:
+            return last
+        self._single = SinglePointOptions(
             systems=o.systems, elevation_mask_rad=min(o.elevation_mask_rad, 0.175), cn0_mask_dbhz=o.cn0_mask_dbhz, klobuchar=klobuchar,
             excluded=o.excluded,
         )  # fmt: skip
+        return self._single
 
     def _obstacle(self, rover: Epoch, base: Epoch | None, base_position_ecef_m: Vector | None) -> Reason:
         """Return why there can be no relative solution."""
@@ -169,7 +174,7 @@ class Rtk:
             self.reset()
         elif state is not None:
             self._advance(state, rover.time - state.origin, single)
-            if not state.finite or self._astray(state, single):
+            if not is_finite(state.x, state.cov) or self._astray(state, single):
                 self.reset()
         state = self._state
         if state is None:
@@ -179,7 +184,7 @@ class Rtk:
             state.base_ecef_m = base_ecef_m.copy()
             self._seed(state, single)
         shift = base_ecef_m - state.base_ecef_m
-        if np.any(shift != 0.0):
+        if shift.any():
             if self.options.mode is not Mode.MOVING_BASE:
                 state.x[:3] -= shift
             state.base_ecef_m = base_ecef_m.copy()
@@ -208,14 +213,8 @@ class Rtk:
                     for i in range(3, 9):
                         reset_state(state.x, state.cov, i, 0.0, (_SEED_SPEED_MPS if i < 6 else _SEED_ACCELERATION_MPS2) ** 2)
                 predict_motion(state.x, state.cov, dt, _DECAY_S, self._motion_noise(state))
-        first = state.dynamic + int(np.searchsorted(state.keys, FIRST_PAIR_KEY))
-        diagonal = np.einsum("ii->i", state.cov)
-        diagonal[first:] += self.options.dynamics.ambiguity_cyc**2 * dt
-        length = float(np.linalg.norm(state.x[:3]))
-        walk = np.full(first - state.dynamic, (_IONOSPHERE_WALK_PPM * length) ** 2)
-        walk[state.keys[: len(walk)] == ZENITH_KEY] = _ZENITH_WALK_M**2
-        walk[state.keys[: len(walk)] == SLOPE_KEY] = _SLOPE_WALK_M**2
-        diagonal[state.dynamic : first] += walk * dt
+        ambiguity, ionosphere = self.options.dynamics.ambiguity_cyc**2 * dt, (_IONOSPHERE_WALK_PPM * state.baseline_m) ** 2 * dt
+        grow(state.cov, state.keys, state.dynamic, ambiguity, ionosphere, _ZENITH_WALK_M**2 * dt, _SLOPE_WALK_M**2 * dt)
 
     def _motion_noise(self, state: FilterState) -> Matrix:
         """Return the spectral density of the jerk (ECEF)."""
@@ -227,26 +226,26 @@ class Rtk:
     def _astray(self, state: FilterState, single: SinglePoint) -> bool:
         if not single.ok or self.options.mode is Mode.FIXED:
             return False
-        gap = np.linalg.norm(state.base_ecef_m + state.x[:3] - single.position_ecef_m)
-        return bool(gap > _FAR_M + 5.0 * sqrt(np.trace(single.position_cov_ecef_m2)))
+        gap_m = length_m(state.base_ecef_m + state.x[:3] - single.position_ecef_m)
+        return gap_m > _FAR_M + 5.0 * sqrt(trace(single.position_cov_ecef_m2))
 
     # --- one relative solution ---
 
     def _relative(
-        self, state: FilterState, solution: Solution, rover: Epoch, base: Epoch, table: EphemerisTable,
+        self, state: FilterState, rover: Epoch, base: Epoch, table: EphemerisTable,
         klobuchar: KlobucharParameters | None, singles: tuple[SinglePoint, SinglePoint | None],
     ) -> Solution:  # fmt: skip
         model_ecef_m = state.base_ecef_m + state.x[:3]
         age_s = rover.time - base.time
         differences = self._differences(state, rover, base, table, klobuchar_vector(klobuchar))
         if distinct(differences.pairs.satellite, np.isfinite(differences.table[:, CODE])) < 4:
-            return replace(solution, reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
+            return replace(from_single(rover, base, singles[0]), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         self._base_s = base.time - state.origin
         layout = self._lay_out(state, differences)
         outcome = update(state, differences, layout, self._scale, self._velocity(singles))
-        if not outcome.ok or not state.finite:
+        if not outcome.ok or not is_finite(state.x, state.cov):
             self.reset()
-            return replace(solution, reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
+            return replace(from_single(rover, base, singles[0]), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
         self._remember(state, differences, layout, outcome, model_ecef_m)
         candidates = self._candidates(state, differences, layout, outcome)
         resolution = self._validation.resolve(state, candidates, self._prediction)
@@ -255,7 +254,7 @@ class Rtk:
         self._hold(state, resolution)
         self._was_fixed = self._was_fixed or resolution.x is not None
         epoch = Outcome(differences, layout, outcome, resolution, age_s, self._moves, singles[1], self._resets)
-        return report(solution, state, epoch)
+        return report(rover, base, singles[0], state, epoch)
 
     def _differences(self, state: FilterState, rover: Epoch, base: Epoch, table: EphemerisTable, klobuchar: Vector) -> Differences:
         """Form the single differences; a system that this base epoch lacks comes from an earlier one.
@@ -265,14 +264,13 @@ class Rtk:
         if not self._bases or self._bases[-1] is not base:
             self._bases = [b for b in self._bases if 0.0 < base.time - b.time <= _COMPLEMENT_S] + [base]
         model_ecef_m, out = state.base_ecef_m + state.x[:3], None
-        missing = set((rover.satellite // SATELLITES_PER_SYSTEM).tolist())
+        missing = systems_of(rover.satellite)
         for other in reversed(self._bases if self.options.mode is not Mode.MOVING_BASE else [base]):
-            system = other.satellite // SATELLITES_PER_SYSTEM
-            found = missing & set(system.tolist())
+            found = missing & systems_of(other.satellite)
             if not found and out is not None:
                 continue
-            missing -= found
-            part = other if out is None else other.take(np.isin(system, sorted(found)))
+            missing &= ~found
+            part = other if out is None else other.take((found >> (other.satellite // SATELLITES_PER_SYSTEM)) & 1 != 0)
             conditions = self._conditions(state, rover.time - other.time, other.time - state.origin)
             pairs = self._matcher.match(rover, part)
             made = observe(rover, part, pairs, table, klobuchar, model_ecef_m, state.base_ecef_m, conditions)
@@ -284,7 +282,7 @@ class Rtk:
 
     def _conditions(self, state: FilterState, age_s: float, base_s: float) -> Conditions:
         o = self.options
-        length = float(np.linalg.norm(state.x[:3]))
+        length = state.baseline_m
         common = (CLOCK_DRIFT_MPS * age_s) ** 2 + (o.noise.ephemeris_m_per_m * length) ** 2
         if length < _LONG_BASELINE_M:
             common += (IONOSPHERE_PPM * length) ** 2
@@ -305,73 +303,46 @@ class Rtk:
     def _lay_out(self, state: FilterState, differences: Differences) -> Layout:
         """Give every pair its states; deal with slips; begin new states."""
         pairs, table = differences.pairs, differences.table
-        phase = np.isfinite(table[:, PHASE]) & (self.options.mode is not Mode.DGPS)
-        keys = [pairs.key[phase]]
-        long = float(np.linalg.norm(state.x[:3])) > _LONG_BASELINE_M
-        if long:
-            keys = [np.zeros(1, np.int64), pairs.satellite[np.isfinite(table[:, CODE])].astype(np.int64), *keys]
-        sloped = bool(np.any(table[phase, CHANNEL] != 0.0))
-        if sloped:
-            keys.append(np.full(1, SLOPE_KEY))
+        phases, atmosphere = self.options.mode is not Mode.DGPS, state.baseline_m > _LONG_BASELINE_M
+        keys = wanted_keys(pairs.key, pairs.satellite, table, phases, atmosphere)
         dt = state.time_s - state.rover_s
-        state.use_keys(np.unique(np.concatenate(keys)), max(self.options.slip.maximum_gap_s, 2.5 * dt if dt == dt else 0.0))
-        ambiguity = np.full(len(pairs), -1, np.int64)
-        ambiguity[phase] = state.place(pairs.key[phase])
-        ionosphere = np.full(len(pairs), -1, np.int64)
+        state.use_keys(keys, max(self.options.slip.maximum_gap_s, 2.5 * dt if dt == dt else 0.0))
+        ambiguity, ionosphere, inflation = np.empty(len(pairs), np.int64), np.empty(len(pairs), np.int64), np.empty(len(pairs))
+        find_places(state.keys, pairs.key, pairs.satellite, table, phases, atmosphere, ambiguity, ionosphere)
         self._begin_shared(state)
-        if long:
-            ionosphere = np.minimum(np.searchsorted(state.keys, pairs.satellite), len(state.keys) - 1)
-            ionosphere[state.keys[ionosphere] != pairs.satellite] = -1
-        self._slips(state, differences, phase, ambiguity[phase])
-        self._begin_ambiguities(state, differences, np.flatnonzero(phase), ambiguity[phase])
-        inflation = np.ones(len(pairs))
-        if dt == dt:
-            known = state.history[ambiguity[phase], ARC_EPOCHS] > 0.0
-            inflation[phase] = np.where(known, max(1.0, 2.0 * _CODE_MEMORY_S / max(dt, 1e-3)), 1.0)
-        slope = int(np.searchsorted(state.keys, SLOPE_KEY)) if sloped else -1
-        return Layout(ambiguity, ionosphere.astype(np.int64), 0 if long else -1, slope, inflation)
+        self._slips(state, differences, ambiguity)
+        memory = max(1.0, 2.0 * _CODE_MEMORY_S / max(dt, 1e-3)) if dt == dt else 1.0
+        begin_ambiguities(
+            state.x, state.cov, state.history, ambiguity, pairs.satellite, table, state.dynamic, state.time_s, memory, inflation
+        )
+        return Layout(ambiguity, ionosphere, 0 if atmosphere else -1, place_of(state.keys, SLOPE_KEY), inflation)
 
     def _begin_shared(self, state: FilterState) -> None:
         """Give a value to new states of the atmosphere and of the GLONASS slope; all of them count as seen."""
-        length = float(np.linalg.norm(state.x[:3]))
-        for i in np.flatnonzero((state.keys < FIRST_PAIR_KEY) & (state.history[:, ARC_EPOCHS] < 0.0)).tolist():
-            value, sigma = 0.0, _IONOSPHERE_SIGMA_PPM * length
+        count = int(state.keys.searchsorted(FIRST_PAIR_KEY))
+        for i in range(count):
+            if state.history[i, ARC_EPOCHS] >= 0.0:
+                continue
+            value, sigma = 0.0, _IONOSPHERE_SIGMA_PPM * state.baseline_m
             if state.keys[i] == ZENITH_KEY:
                 sigma = _ZENITH_SIGMA_M
             elif state.keys[i] == SLOPE_KEY:
                 value, sigma = self._validation.slope
             reset_state(state.x, state.cov, state.dynamic + i, value, sigma**2)
             state.history[i, ARC_EPOCHS] = 0.0
-        state.history[: np.searchsorted(state.keys, FIRST_PAIR_KEY), SEEN_S] = state.time_s
+        state.history[:count, SEEN_S] = state.time_s
 
-    def _slips(self, state: FilterState, differences: Differences, phase: NDArray[np.bool_], place: Indices) -> None:
+    def _slips(self, state: FilterState, differences: Differences, place: Indices) -> None:
         """Find slips; a jump of known size moves its ambiguity, one of unknown size begins it anew."""
-        n = len(place)
+        n, d = len(place), differences
         slip, jump, motion, motion_cov = np.zeros(n, np.int64), np.zeros(n), np.zeros(3), np.zeros((3, 3))
         times = np.array((state.time_s, self._base_s, state.rover_s, state.base_s))
-        setup = np.array((
-            self.options.slip.time_difference_cyc, self.options.slip.maximum_gap_s, float(self.options.mode is Mode.MOVING_BASE)
-        ))  # fmt: skip
         redundancy = find_slips(
-            differences.table[phase], state.history, place, differences.issue[phase], differences.flagged[phase],
-            differences.lock_s[phase], differences.base_s[phase], differences.rover_direction[phase], differences.base_direction[phase],
-            times, setup, slip, jump, motion, motion_cov,
+            d.table, state.history, place, d.issue, d.flagged, d.lock_s, d.base_s, d.rover_direction, d.base_direction, times,
+            self._slip_setup, slip, jump, motion, motion_cov,
         )  # fmt: skip
         self._predict_fix(state, redundancy, motion, motion_cov)
-        known = state.history[place, ARC_EPOCHS] >= 0.0
-        again = known & (state.history[place, REJECTS] >= 2.0)
-        for k in np.flatnonzero(known & ((slip != 0) | again)).tolist():
-            row = state.history[place[k]]
-            row[SLIPS] += 1.0
-            row[INTEGER] = nan
-            row[REJECTS] = 0.0
-            if slip[k] == KNOWN_SLIP and not again[k]:
-                i = state.dynamic + place[k]
-                state.x[i] += jump[k]
-                state.cov[i, i] += _KNOWN_SLIP_SIGMA_CYC**2
-                row[ARC_EPOCHS], row[ARC_S] = 0.0, state.time_s
-            else:
-                row[ARC_EPOCHS] = -1.0
+        apply_slips(state.x, state.cov, state.history, place, slip, jump, state.dynamic, state.time_s)
 
     def _predict_fix(self, state: FilterState, redundancy: int, motion: Vector, motion_cov: Matrix) -> None:
         """Carry the last fix on by the motion that the phases show."""
@@ -380,44 +351,29 @@ class Rtk:
             self._prediction = None
             return
         moved = state.base_ecef_m + state.x[:3] - state.rover_model_ecef_m + motion
-        self._prediction = Prediction(last.baseline_ecef_m + moved, last.sigma_m + sqrt(float(np.trace(motion_cov))))
-
-    def _begin_ambiguities(self, state: FilterState, differences: Differences, index: Indices, place: Indices) -> None:
-        table = differences.table
-        for k, i in zip(index.tolist(), place.tolist(), strict=True):
-            if state.history[i, ARC_EPOCHS] >= 0.0:
-                continue
-            glonass = differences.pairs.satellite[k] // 64 == GLONASS
-            value = (table[k, PHASE] - table[k, CODE]) / table[k, WAVELENGTH]
-            sigma = _GLONASS_SIGMA_CYC if glonass else _AMBIGUITY_SIGMA_CYC
-            reset_state(state.x, state.cov, state.dynamic + i, value, sigma**2)
-            state.history[i, ARC_EPOCHS], state.history[i, ARC_S], state.history[i, INTEGER] = 0.0, state.time_s, nan
+        self._prediction = Prediction(last.baseline_ecef_m + moved, last.sigma_m + sqrt(trace(motion_cov)))
 
     def _remember(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update, model_ecef_m: Vector) -> None:
         """Write the history of this epoch."""
-        seen = layout.ambiguity >= 0
-        place, history = layout.ambiguity[seen], state.history
-        history[place, SEEN_S] = state.time_s
-        history[place, ROVER_S], history[place, BASE_S] = state.time_s, differences.base_s[seen]
-        history[place, ROVER_M], history[place, BASE_M] = differences.table[seen][:, 2], differences.table[seen][:, 3]
-        history[place, ROVER_LOCK_S], history[place, BASE_LOCK_S] = differences.lock_s[seen].T
-        history[place, ISSUE] = differences.issue[seen]
-        history[place, ARC_EPOCHS] += 1.0
-        history[place, REJECTS] = np.where(outcome.phase_used[seen], 0.0, history[place, REJECTS] + 1.0)
+        d = differences
+        remember(state.history, layout.ambiguity, d.table, d.base_s, d.lock_s, d.issue, outcome.phase_used, state.time_s)
         state.rover_s, state.base_s = state.time_s, self._base_s
         state.rover_model_ecef_m = model_ecef_m
 
     def _candidates(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update) -> Candidates:
         """Return the ambiguities of this epoch that may become integers."""
-        o, pairs = self.options.ambiguity, differences.pairs
-        system, number = pairs.satellite // 64, pairs.satellite % 64
-        geostationary = (system == BEIDOU) & ((number <= 5) | (number >= 59))
-        elevation = differences.table[:, 9]
-        usable = outcome.phase_used & (layout.ambiguity >= 0) & ~geostationary & (system != SBAS)
-        usable &= elevation >= o.elevation_mask_rad
-        usable[usable] = state.history[layout.ambiguity[usable], ARC_EPOCHS] > o.minimum_lock_epochs
-        place = layout.ambiguity[usable]
-        return Candidates(place, pairs.group[usable], pairs.satellite[usable].astype(np.int64), elevation[usable])
+        o, pairs, chosen = self.options.ambiguity, differences.pairs, np.empty(len(differences.pairs), np.int64)
+        count = candidate_pairs(
+            state.history, layout.ambiguity, pairs.satellite, differences.table, outcome.phase_used, o.elevation_mask_rad,
+            float(o.minimum_lock_epochs), chosen,
+        )  # fmt: skip
+        chosen = chosen[:count]
+        return Candidates(
+            layout.ambiguity[chosen],
+            pairs.group[chosen],
+            pairs.satellite[chosen].astype(np.int64),
+            differences.table[chosen, ELEVATION_RAD],
+        )
 
     def _hold(self, state: FilterState, resolution: Resolution) -> None:
         """In fix-and-hold, tell the filter of integers that have proven themselves (softly, so that it can still object)."""

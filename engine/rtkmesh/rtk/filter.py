@@ -11,7 +11,7 @@ positive definite by construction. All matrices are row-major and all inner loop
 """
 
 from math import sqrt
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ OBSERVATION: Final = 9
 # Columns of its places: clock group, then where the states of these four are (-1: none).
 GROUP, AT_ZENITH, AT_IONOSPHERE, AT_AMBIGUITY, AT_SLOPE = range(5)
 PLACES: Final = 5
+
+_ZERO: Final = cast("int", np.int64(0))  # a literal as argument makes numba compile the callee once more
 
 
 @kernel
@@ -207,7 +209,7 @@ def factor(P: Matrix, U: Matrix) -> int:
             minus[k] = -U[k, i]
         for j in range(i, n):
             U[i, j] = P[i, j]
-        add_rows(row, minus, U, 0, i, i)
+        add_rows(row, minus, U, _ZERO, i, i)
         if not row[0] > 0.0:
             return NOT_POSITIVE_DEFINITE
         pivot = 1.0 / sqrt(row[0])
@@ -235,7 +237,7 @@ def _inner(U: Matrix, N: Matrix, M: Matrix) -> None:
     for i in range(n):
         for j in range(n):
             M[i, j] = 0.0
-        add_rows(M[i, : i + 1], U[i], T, i, n, 0)
+        add_rows(M[i, : i + 1], U[i], T, i, n, _ZERO)
         M[i, i] += 1.0
 
 
@@ -254,7 +256,7 @@ def posterior(P: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int
         row = F[k, : k + 1]
         for i in range(k + 1, n):
             minus[i] = -F[i, k]
-        add_rows(row, minus, F, k + 1, n, 0)
+        add_rows(row, minus, F, k + 1, n, _ZERO)
         if not row[k] > 0.0:
             return NOT_POSITIVE_DEFINITE
         pivot = 1.0 / sqrt(row[k])
@@ -272,7 +274,7 @@ def posterior(P: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int
             P_new[i, j] = 0.0
         for k in range(i + 1):
             minus[k] = U[k, i]
-        add_rows(P_new[i, i:], minus, U, 0, i + 1, i)
+        add_rows(P_new[i, i:], minus, U, _ZERO, i + 1, i)
         for j in range(i + 1, n):
             P_new[j, i] = P_new[i, j]
     for i in range(n):

@@ -158,12 +158,16 @@ def search(L: Matrix, D: Vector, z: Vector, first: int, node_limit: int, candida
                 step[k] = 1.0 if mean[k] >= trial[k] else -1.0
                 continue
             place = found if found < m else worst
-            candidates[place, first:] = trial[first:]
+            for j in range(first, n):
+                candidates[place, j] = trial[j]
             norms[place] = total
             if found < m:
                 found += 1
             if found == m:
-                worst = int(np.argmax(norms))
+                worst = 0
+                for j in range(1, m):
+                    if norms[j] > norms[worst]:
+                        worst = j
                 limit = norms[worst]
         else:
             if k == n - 1:

@@ -7,7 +7,8 @@ quarter cycle per satellite.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from math import isfinite
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.signals import ATTRIBUTES, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
+
+Vector = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 # Bands per system, most useful first (RINEX band digits). Galileo: E5b before E5a as most low-cost base/rover pairs share it; BeiDou: B1C
 # last, it is 14 MHz from B1I and adds little to it.
@@ -30,6 +34,7 @@ _FAMILIES: Final = {
     "S1": "C", "S5": "IXQ", "I5": "ABCX", "I9": "ABCX",
 }  # fmt: skip
 
+_ZERO: Final = cast("int", np.int64(0))  # a literal as argument makes numba compile the callee once more
 _LAST = 99  # rank and family of an attribute that the tables do not name
 
 
@@ -52,8 +57,9 @@ def _tables() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
 
 _ORDER, _RANK, _FAMILY = _tables()
 
-# Columns of a pair.
-ROVER, BASE, LIKENESS = range(3)
+# Columns of a pair (held as rows of one table, so that each is contiguous).
+ROVER, BASE, LIKENESS, KEY, CLOCK_GROUP = range(5)
+PAIR: Final = 5
 SAME_CODE, SAME_FAMILY, SAME_BAND = range(3)
 
 
@@ -92,24 +98,48 @@ class Matcher:
 
     def match(self, rover: Epoch, base: Epoch) -> Pairs:
         """Return the pairs of two epochs."""
-        table = np.empty((min(len(rover), len(base)), 3), np.int64)
-        count = _match(
-            rover.satellite, rover.signal, _usable(rover, self._cn0_mask_dbhz), base.satellite, base.signal,
-            _usable(base, self._cn0_mask_dbhz), self._allowed, self._frequencies, _ORDER, _RANK, _FAMILY, table,
+        rows = min(len(rover), len(base))
+        table, satellite = np.empty((PAIR, rows), np.int64), np.empty(rows, np.int16)
+        count, groups = match_epochs(
+            rover.satellite, rover.signal, rover.pseudorange_m, rover.phase_cyc, rover.cn0_dbhz, base.satellite, base.signal,
+            base.pseudorange_m, base.phase_cyc, base.cn0_dbhz, self._cn0_mask_dbhz, self._allowed, self._frequencies, _ORDER, _RANK,
+            _FAMILY, table, satellite,
         )  # fmt: skip
-        table = table[:count]
-        satellite = rover.satellite[table[:, ROVER]]
-        key, group, groups = _keys(satellite, rover.signal[table[:, ROVER]], base.signal[table[:, BASE]])
-        return Pairs(satellite, table[:, ROVER].copy(), table[:, BASE].copy(), table[:, LIKENESS].copy(), group, groups, key)
+        rover_row, base_row, likeness, key, group = table[:, :count]
+        return Pairs(satellite[:count], rover_row, base_row, likeness, group, groups, key)
 
 
-def _usable(epoch: Epoch, cn0_mask_dbhz: float) -> NDArray[np.int64]:
-    """Return 0 where a row has no pseudorange (or too little C/N0), 1 with pseudorange only, 2 with phase too."""
-    usable = np.isfinite(epoch.pseudorange_m).astype(np.int64)
-    usable += usable * np.isfinite(epoch.phase_cyc)
-    if cn0_mask_dbhz > 0.0:
-        usable[epoch.cn0_dbhz < cn0_mask_dbhz] = 0
-    return usable
+@kernel
+def match_epochs(
+    rover_satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], rover_code: Vector, rover_phase: Vector, rover_cn0: Vector,
+    base_satellite: NDArray[np.int16], base_signal: NDArray[np.int16], base_code: Vector, base_phase: Vector, base_cn0: Vector,
+    cn0_mask_dbhz: float, allowed: NDArray[np.bool_], frequencies: int, order: Indices, rank: Indices, family: Indices, table: Indices,
+    satellite: NDArray[np.int16],
+) -> tuple[int, int]:  # fmt: skip
+    """Write the columns of the pairs (PAIR, n) and their satellites; return how many pairs and how many clock groups there are."""
+    rover_usable, base_usable = np.empty(len(rover_satellite), np.int64), np.empty(len(base_satellite), np.int64)
+    _usable(rover_code, rover_phase, rover_cn0, cn0_mask_dbhz, rover_usable)
+    _usable(base_code, base_phase, base_cn0, cn0_mask_dbhz, base_usable)
+    pairs = np.empty((len(satellite), 3), np.int64)
+    count = _match(
+        rover_satellite, rover_signal, rover_usable, base_satellite, base_signal, base_usable, allowed, frequencies, order, rank, family,
+        pairs,
+    )  # fmt: skip
+    for k in range(count):
+        for i in range(3):
+            table[i, k] = pairs[k, i]
+        satellite[k] = rover_satellite[pairs[k, ROVER]]
+    return count, _keys(count, satellite, rover_signal, base_signal, table)
+
+
+@kernel
+def _usable(pseudorange_m: Vector, phase_cyc: Vector, cn0_dbhz: Vector, cn0_mask_dbhz: float, out: Indices) -> None:
+    """Write 0 where a row has no pseudorange (or too little C/N0), 1 with pseudorange only, 2 with phase too."""
+    for k in range(len(out)):
+        out[k] = 0
+        masked = cn0_mask_dbhz > 0.0 and cn0_dbhz[k] < cn0_mask_dbhz
+        if isfinite(pseudorange_m[k]) and not masked:
+            out[k] = 2 if isfinite(phase_cyc[k]) else 1
 
 
 @kernel
@@ -128,7 +158,7 @@ def _match(
     out: NDArray[np.int64],
 ) -> int:
     """Walk through both sorted epochs and write (rover row, base row, likeness) per pair; return how many."""
-    count, i, j = 0, 0, 0
+    count, i, j = 0, _ZERO, _ZERO
     while i < len(rover_satellite) and j < len(base_satellite):
         satellite = rover_satellite[i]
         if satellite != base_satellite[j]:
@@ -202,6 +232,17 @@ def distinct(ordered: NDArray[np.int16], mask: NDArray[np.bool_]) -> int:
 
 
 @kernel
+def count_runs(ordered: NDArray[np.int16]) -> int:
+    """Return how many different values a sorted array has."""
+    count, last = 0, -1
+    for k in range(len(ordered)):
+        if ordered[k] != last:
+            last = ordered[k]
+            count += 1
+    return count
+
+
+@kernel
 def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int64]]:
     """Return the different values of a sorted array, where each begins, and per entry the number of its value."""
     n = len(ordered)
@@ -216,16 +257,13 @@ def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int6
 
 
 @kernel
-def _keys(
-    satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Return the key and the clock group of each pair, and the number of groups (numbered in the order of their content)."""
-    n = len(satellite)
-    key, kind, group = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    kinds, groups = np.empty(n, np.int64), 0
-    for k in range(n):
-        signals, number = int(rover_signal[k]) * 512 + int(base_signal[k]), int(satellite[k])
-        key[k] = number * 262144 + signals
+def _keys(count: int, satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16], table: Indices) -> int:
+    """Write the key and the clock group of each pair; return the number of groups (numbered in the order of their content)."""
+    kind, kinds, groups = np.empty(count, np.int64), np.empty(count, np.int64), 0
+    for k in range(count):
+        signals = int(rover_signal[table[ROVER, k]]) * 512 + int(base_signal[table[BASE, k]])
+        number = int(satellite[k])
+        table[KEY, k] = number * 262144 + signals
         kind[k] = (number // 64) * 262144 + signals
         place = 0
         while place < groups and kinds[place] < kind[k]:
@@ -236,8 +274,9 @@ def _keys(
             kinds[i] = kinds[i - 1]
         kinds[place] = kind[k]
         groups += 1
-    for k in range(n):
-        group[k] = 0
-        while kinds[group[k]] != kind[k]:
-            group[k] += 1
-    return key, group, groups
+    for k in range(count):
+        group = 0
+        while kinds[group] != kind[k]:
+            group += 1
+        table[CLOCK_GROUP, k] = group
+    return groups

@@ -51,7 +51,7 @@ class CodeScale:
     def factors(self) -> Vector:
         """Return the variance factor per system."""
         raw = (SCALE_PRIOR_DOF + self._squares) / (SCALE_PRIOR_DOF + self._dof)
-        return np.clip(raw, *SCALE_RANGE)
+        return _within_range(raw)
 
     def learn(self, squares: Vector, dof: Vector) -> None:
         """Take in the sums of squared normalised residuals (for a factor of 1) and their degrees of freedom, per system."""
@@ -64,4 +64,8 @@ class CodeScale:
     def trial(self, squares: Vector, dof: Vector) -> Vector:
         """Return what the factors would be after ``learn``."""
         raw = (SCALE_PRIOR_DOF + self._squares + squares) / (SCALE_PRIOR_DOF + self._dof + dof)
-        return np.clip(raw, *SCALE_RANGE)
+        return _within_range(raw)
+
+
+def _within_range(factors: Vector) -> Vector:
+    return np.minimum(np.maximum(factors, SCALE_RANGE[0]), SCALE_RANGE[1])

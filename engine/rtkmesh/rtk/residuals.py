@@ -15,7 +15,7 @@ from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch
 from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, carrier_hz
 from rtkmesh.models.ephemeris_table import IODE, TOE_TOW, TOE_WEEK, EphemerisTable
-from rtkmesh.models.geometry import AZIMUTH, E_X, E_Z, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_model
+from rtkmesh.models.geometry import AZIMUTH, E_X, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_model
 from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK
 from rtkmesh.rtk.matching import Pairs, runs
 from rtkmesh.rtk.noise import UNALIGNED_CODE_M, cn0_factor, elevation_variance
@@ -30,6 +30,10 @@ Indices = NDArray[np.int64]
 CODE, PHASE, ROVER_PHASE, BASE_PHASE, CODE_VARIANCE, PHASE_VARIANCE, WAVELENGTH, IONOSPHERE, CN0, ELEVATION_RAD, CHANNEL = range(11)
 DIFFERENCE: Final = 11
 
+# Columns of what a receiver says of a signal; the sigmas (m, cycles) are NaN if it does not say them.
+WORD_CN0, WORD_CODE_SIGMA, WORD_PHASE_SIGMA = range(3)
+WORDS: Final = 3
+
 # Places in the vector of noise parameters.
 PHASE_A, PHASE_B, CODE_RATIO, COMMON_VARIANCE = range(4)
 
@@ -38,11 +42,39 @@ _C = SPEED_OF_LIGHT_MPS
 
 
 @kernel
-def wavelengths(satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: NDArray[np.int8], out: Vector) -> None:
-    """Write the wavelength (m) per row; NaN where the carrier is not known."""
+def wavelengths(
+    satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: NDArray[np.int8], row: Indices, known: NDArray[np.int8],
+    wavelength_m: Vector, channels: Vector,
+) -> None:  # fmt: skip
+    """Write the wavelength (m) of each pair, NaN where the carrier is not known, and its GLONASS channel, 0 where there is none.
+
+    ``row`` are rows of ``signal`` and ``channel``; ``known`` is the channel per satellite number, for rows without one.
+    """
     for k in range(len(satellite)):
-        f = carrier_hz(int(satellite[k]), int(signal[k]), int(channel[k]))
-        out[k] = _C / f if f > 0.0 else np.nan
+        number, own = int(satellite[k]), int(channel[row[k]])
+        if own == NO_CHANNEL:
+            own = int(known[number])
+        f = carrier_hz(number, int(signal[row[k]]), own)
+        wavelength_m[k] = _C / f if f > 0.0 else np.nan
+        channels[k] = own if number // 64 == GLONASS and own != NO_CHANNEL else 0.0
+
+
+@kernel
+def observe_receiver(
+    rows: Matrix, week: int, tow_s: float, position_ecef_m: Vector, klobuchar: Vector, first: Indices, satellite_index: Indices,
+    row: Indices, wavelength_m: Vector, pseudorange_m: Vector, phase_cyc: Vector, flags: NDArray[np.uint8], geometry: Matrix,
+    out: Matrix, direction: Matrix,
+) -> None:  # fmt: skip
+    """Model one receiver: write the geometry per satellite, and per pair code and phase minus model (n x 2) and the direction (n x 3)."""
+    count = len(first)
+    states, codes = np.empty((count, STATE)), np.empty(count)
+    for i in range(count):
+        codes[i] = pseudorange_m[row[first[i]]]
+    receiver_model(rows, week, tow_s, codes, position_ecef_m, klobuchar, states, geometry)
+    undifferenced(row, satellite_index, wavelength_m, pseudorange_m, phase_cyc, flags, states, geometry, out)
+    for k in range(len(row)):
+        for i in range(3):
+            direction[k, i] = geometry[satellite_index[k], E_X + i]
 
 
 @kernel
@@ -71,40 +103,42 @@ def single_differences(
     satellite_index: Indices,
     likeness: Indices,
     wavelength_m: Vector,
+    channels: Vector,
     rover: Matrix,
     base: Matrix,
-    rover_cn0_dbhz: Vector,
-    base_cn0_dbhz: Vector,
-    rover_sigma: Matrix,
-    base_sigma: Matrix,
-    elevation_rad: Vector,
+    rover_words: Matrix,
+    base_words: Matrix,
+    geometry: Matrix,
     mask_rad: float,
     noise: Vector,
     out: Matrix,
 ) -> None:
     """Write the single differences (n x DIFFERENCE) of the pairs.
 
-    ``rover`` and ``base`` (n x 2) are of ``undifferenced``; the sigmas (n x 2) are those that the receivers report: code (m), phase
-    (cycles), NaN if they do not; ``noise`` is the vector of parameters.
+    ``rover`` and ``base`` (n x 2) are of ``undifferenced``; the words are of ``receiver_words``; ``geometry`` is the rover's, per
+    satellite; ``noise`` is the vector of parameters.
     """
     for k in range(len(satellite_index)):
-        elevation = float(elevation_rad[satellite_index[k]])
-        cn0 = min(rover_cn0_dbhz[k], base_cn0_dbhz[k]) if base_cn0_dbhz[k] > 0.0 else rover_cn0_dbhz[k]
+        elevation = float(geometry[satellite_index[k], ELEVATION])
+        if not isfinite(elevation):
+            elevation = -1.0
+        rover_cn0_dbhz, base_cn0_dbhz = rover_words[k, WORD_CN0], base_words[k, WORD_CN0]
+        cn0 = min(rover_cn0_dbhz, base_cn0_dbhz) if base_cn0_dbhz > 0.0 else rover_cn0_dbhz
         scale = wavelength_m[k] * _L1_HZ / _C
         out[k, WAVELENGTH], out[k, IONOSPHERE] = wavelength_m[k], scale * scale
         out[k, ROVER_PHASE], out[k, BASE_PHASE] = rover[k, 1], base[k, 1]
-        out[k, CN0], out[k, ELEVATION_RAD] = cn0, elevation
+        out[k, CN0], out[k, ELEVATION_RAD], out[k, CHANNEL] = cn0, elevation, channels[k]
         usable = elevation >= mask_rad
         out[k, CODE] = rover[k, 0] - base[k, 0] if usable else np.nan
         out[k, PHASE] = rover[k, 1] - base[k, 1] if usable else np.nan
         factor = elevation_variance(noise[PHASE_A], noise[PHASE_B], elevation)
-        factor *= cn0_factor(rover_cn0_dbhz[k]) + cn0_factor(base_cn0_dbhz[k])
+        factor *= cn0_factor(rover_cn0_dbhz) + cn0_factor(base_cn0_dbhz)
         code, phase = factor * noise[CODE_RATIO] ** 2, factor
-        for sigmas in (rover_sigma, base_sigma):
-            if sigmas[k, 0] > 0.0:
-                code += sigmas[k, 0] ** 2
-            if sigmas[k, 1] > 0.0:
-                phase += (sigmas[k, 1] * wavelength_m[k]) ** 2
+        for words in (rover_words, base_words):
+            if words[k, WORD_CODE_SIGMA] > 0.0:
+                code += words[k, WORD_CODE_SIGMA] ** 2
+            if words[k, WORD_PHASE_SIGMA] > 0.0:
+                phase += (words[k, WORD_PHASE_SIGMA] * wavelength_m[k]) ** 2
         if likeness[k] == 2:
             code += UNALIGNED_CODE_M**2
         common = noise[COMMON_VARIANCE] / max(np.sin(elevation), 0.2) ** 2
@@ -113,10 +147,29 @@ def single_differences(
 
 
 @kernel
-def receiver_elevations(geometry: Matrix, out: Vector) -> None:
-    """Copy the elevations (rad), with -1 where a satellite has none."""
-    for i in range(geometry.shape[0]):
-        out[i] = geometry[i, ELEVATION] if isfinite(geometry[i, ELEVATION]) else -1.0
+def receiver_words(
+    row: Indices, cn0_dbhz: Vector, code_sigma_m: Vector, phase_sigma_cyc: Vector, receiver_lock_s: Vector, flags: NDArray[np.uint8],
+    receiver: int, words: Matrix, lock_s: Matrix, flagged: NDArray[np.bool_], half_cycle: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Write what one receiver (0: rover, 1: base) says of its signals: C/N0 and sigmas, lock times, slips and open half cycles."""
+    for k in range(len(row)):
+        i = row[k]
+        words[k, WORD_CN0], words[k, WORD_CODE_SIGMA], words[k, WORD_PHASE_SIGMA] = cn0_dbhz[i], code_sigma_m[i], phase_sigma_cyc[i]
+        lock_s[k, receiver] = receiver_lock_s[i]
+        flagged[k, receiver] = flags[i] & SLIP != 0
+        half_cycle[k] = (receiver == 1 and half_cycle[k]) or flags[i] & HALF_CYCLE != 0
+
+
+@kernel
+def per_pair(
+    satellite_index: Indices, rows: Matrix, geometry: Matrix, base_s: float, issue: Vector, azimuth_rad: Vector, times: Vector
+) -> None:
+    """Write per pair a number that changes with the issue of the ephemeris, the azimuth, and the time of the base epoch."""
+    for k in range(len(satellite_index)):
+        s = satellite_index[k]
+        issue[k] = rows[s, TOE_WEEK] * 1.0e6 + rows[s, TOE_TOW] + rows[s, IODE] * 1e-3
+        azimuth_rad[k] = geometry[s, AZIMUTH]
+        times[k] = base_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,41 +211,33 @@ def observe(
     Both receivers are modelled with the same issue of each ephemeris, the one that is right for the rover's epoch.
     """
     satellites, first, index = runs(pairs.satellite)
+    n, count = len(pairs), len(satellites)
     rows = table.select(satellites, rover.time)
-    channel = rover.channel[pairs.rover]
-    channel = np.where(channel == NO_CHANNEL, table.channels(pairs.satellite), channel).astype(np.int8)
-    wavelength = np.empty(len(pairs))
-    wavelengths(pairs.satellite, rover.signal[pairs.rover], channel, wavelength)
-    phases: list[Matrix] = []
-    geometries: list[Matrix] = []
-    for epoch, row, position in ((rover, pairs.rover, rover_ecef_m), (base, pairs.base, base_ecef_m)):
-        states, geometry, out = np.empty((len(satellites), STATE)), np.empty((len(satellites), GEOMETRY)), np.empty((len(pairs), 2))
-        codes = epoch.pseudorange_m[row[first]]
-        receiver_model(rows, epoch.time.week, epoch.time.tow_s, codes, position, klobuchar, states, geometry)
-        undifferenced(row, index, wavelength, epoch.pseudorange_m, epoch.phase_cyc, epoch.flags, states, geometry, out)
-        phases.append(out)
-        geometries.append(geometry)
-    elevation = np.empty(len(satellites))
-    receiver_elevations(geometries[0], elevation)
-    out = np.empty((len(pairs), DIFFERENCE))
+    wavelength_m, channels = np.empty(n), np.empty(n)
+    wavelengths(pairs.satellite, rover.signal, rover.channel, pairs.rover, table.channel_by_satellite, wavelength_m, channels)
+    geometry, out, words = np.empty((2, count, GEOMETRY)), np.empty((2, n, 2)), np.empty((2, n, WORDS))
+    direction, lock_s = np.empty((2, n, 3)), np.empty((n, 2))
+    flagged, half_cycle = np.empty((n, 2), np.bool_), np.empty(n, np.bool_)
+    for k, (epoch, row, position) in enumerate(((rover, pairs.rover, rover_ecef_m), (base, pairs.base, base_ecef_m))):
+        observe_receiver(
+            rows, epoch.time.week, epoch.time.tow_s, position, klobuchar, first, index, row, wavelength_m, epoch.pseudorange_m,
+            epoch.phase_cyc, epoch.flags, geometry[k], out[k], direction[k],
+        )  # fmt: skip
+        receiver_words(
+            row, epoch.cn0_dbhz, epoch.pseudorange_sigma_m, epoch.phase_sigma_cyc, epoch.lock_s, epoch.flags, k, words[k], lock_s, flagged,
+            half_cycle,
+        )  # fmt: skip
+    differences = np.empty((n, DIFFERENCE))
     single_differences(
-        index, pairs.likeness, wavelength, phases[0], phases[1], rover.cn0_dbhz[pairs.rover], base.cn0_dbhz[pairs.base],
-        _reported(rover, pairs.rover), _reported(base, pairs.base), elevation, conditions.mask_rad, conditions.noise, out,
+        index, pairs.likeness, wavelength_m, channels, out[0], out[1], words[0], words[1], geometry[0], conditions.mask_rad,
+        conditions.noise, differences,
     )  # fmt: skip
-    out[:, CHANNEL] = np.where((pairs.satellite // 64 == GLONASS) & (channel != NO_CHANNEL), channel, 0)
-    flags = np.column_stack((rover.flags[pairs.rover], base.flags[pairs.base]))
+    issue, azimuth_rad, base_s = np.empty(n), np.empty(n), np.empty(n)
+    per_pair(index, rows, geometry[0], conditions.base_s, issue, azimuth_rad, base_s)
     return Differences(
-        pairs=pairs,
-        table=out,
-        rover_direction=np.ascontiguousarray(geometries[0][index, E_X : E_Z + 1]),
-        base_direction=np.ascontiguousarray(geometries[1][index, E_X : E_Z + 1]),
-        azimuth_rad=geometries[0][index, AZIMUTH],
-        issue=_issue(rows)[index],
-        flagged=(flags & SLIP) != 0,
-        half_cycle=((flags & HALF_CYCLE) != 0).any(axis=1),
-        lock_s=np.column_stack((rover.lock_s[pairs.rover], base.lock_s[pairs.base])),
-        base_s=np.full(len(pairs), conditions.base_s),
-    )
+        pairs, differences, direction[0], direction[1], azimuth_rad, issue=issue, flagged=flagged, half_cycle=half_cycle, lock_s=lock_s,
+        base_s=base_s,
+    )  # fmt: skip
 
 
 def combine(first: Differences, second: Differences) -> Differences:
@@ -210,12 +255,3 @@ def combine(first: Differences, second: Differences) -> Differences:
     )  # fmt: skip
     columns = {f.name: both(getattr(first, f.name), getattr(second, f.name)) for f in fields(Differences) if f.name != "pairs"}
     return Differences(pairs=pairs, **columns)
-
-
-def _reported(epoch: Epoch, row: Indices) -> Matrix:
-    return np.column_stack((epoch.pseudorange_sigma_m[row], epoch.phase_sigma_cyc[row]))
-
-
-def _issue(rows: Matrix) -> Vector:
-    """Return a number that changes when another issue of the ephemeris is taken."""
-    return rows[:, TOE_WEEK] * 1.0e6 + rows[:, TOE_TOW] + rows[:, IODE] * 1e-3

@@ -117,7 +117,7 @@ class Session:
         solution = self.engine.step(
             pair.rover, pair.base, self.table, self.klobuchar, base_position_ecef_m=self._base_position(), glonass_bias=self.glonass_bias
         )
-        return replace(solution, waited_s=pair.waited_s)
+        return replace(solution, waited_s=pair.waited_s) if pair.waited_s != 0.0 else solution
 
     def deadline_s(self) -> float:
         """Return the instant of the deadline clock at which ``solutions`` must be asked again; inf if none."""

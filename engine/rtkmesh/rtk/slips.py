@@ -59,9 +59,9 @@ def find_slips(
 ) -> int:
     """Write per pair NO_SLIP, KNOWN_SLIP (with the jump in cycles) or LOST; the motion of the rover (m, against its model positions).
 
-    ``place`` are rows of ``history``; ``flagged`` and ``lock_s`` (n x 2) are the words of rover and base; ``base_s`` is the time of each
-    pair's base epoch; ``times_s`` are now rover, now base, last rover, last base; ``setup`` is threshold (cycles), longest gap (s), 1.0 if
-    the base moves. Return the redundancy of the rover's test.
+    ``place`` are rows of ``history`` (-1: no phase); ``flagged`` and ``lock_s`` (n x 2) are the words of rover and base; ``base_s`` is
+    the time of each pair's base epoch; ``times_s`` are now rover, now base, last rover, last base; ``setup`` is threshold (cycles),
+    longest gap (s), 1.0 if the base moves, 1.0 if the rover moves. Return the redundancy of the rover's test.
     """
     n = len(place)
     threshold_cyc, longest_gap_s, base_moves = setup[0], setup[1], setup[2] > 0.0
@@ -70,8 +70,10 @@ def find_slips(
     change, threshold, residual = np.full(n, np.nan), np.empty(n), np.empty(n)
     base_change, base_residual = np.full(n, np.nan), np.full(n, np.nan)
     for k in range(n):
+        slip[k], jump_cyc[k], threshold[k] = NO_SLIP, 0.0, np.nan
+        if place[k] < 0:
+            continue
         h, wavelength = history[place[k]], differences[k, WAVELENGTH]
-        slip[k], jump_cyc[k] = NO_SLIP, 0.0
         threshold[k] = threshold_cyc * wavelength + (0.25 if together else 1.0) * DRIFT_MPS * rover_dt
         if h[ISSUE] == issue[k] and h[ROVER_S] == times_s[2]:
             change[k] = differences[k, ROVER_PHASE] - h[ROVER_M]
@@ -79,7 +81,7 @@ def find_slips(
             base_change[k] = differences[k, BASE_PHASE] - h[BASE_M]
         if together:
             change[k] -= base_change[k]
-    redundancy = time_difference_test(change, rover_direction, threshold, True, residual, motion, motion_cov)
+    redundancy = time_difference_test(change, rover_direction, threshold, setup[3] > 0.0, residual, motion, motion_cov)
     base_redundancy = UNTESTED
     if not together and base_dt > 0.0:
         spare, spare_cov, base_threshold = np.empty(3), np.empty((3, 3)), np.empty(n)
@@ -91,6 +93,8 @@ def find_slips(
                 if abs(base_residual[k]) > base_threshold[k]:
                     slip[k] = KNOWN_SLIP
     for k in range(n):
+        if place[k] < 0:
+            continue
         h, wavelength = history[place[k]], differences[k, WAVELENGTH]
         if redundancy != UNTESTED and abs(residual[k]) > threshold[k]:
             slip[k] = KNOWN_SLIP
@@ -254,4 +258,4 @@ def _median(values: Vector) -> float:
 def rms(values: Vector) -> float:
     """Return the root mean square of the finite values; NaN if there are none."""
     kept = values[np.isfinite(values)]
-    return sqrt(float(np.mean(kept * kept))) if len(kept) else float("nan")
+    return sqrt(float(np.add.reduce(kept * kept)) / len(kept)) if len(kept) else float("nan")

@@ -1,6 +1,7 @@
 """What the filter carries from epoch to epoch: state, covariance, and the history of each keyed state."""
 
 from dataclasses import dataclass, field
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -63,6 +64,16 @@ class FilterState:
         return np.searchsorted(self.keys, keys)
 
     @property
-    def finite(self) -> bool:
-        """Whether nothing has overflowed."""
-        return bool(np.isfinite(self.x).all() and np.isfinite(self.cov).all())
+    def baseline_m(self) -> float:
+        """Length of the baseline."""
+        return length_m(self.x[:3])
+
+
+def length_m(vector: Vector) -> float:
+    """Return the length of a vector."""
+    return sqrt(float(vector.dot(vector)))
+
+
+def trace(matrix: Matrix) -> float:
+    """Return the trace of a 3 x 3 matrix."""
+    return float(matrix[0, 0] + matrix[1, 1] + matrix[2, 2])

@@ -154,10 +154,10 @@ def update(
     factors = scale.factors()
     ok = work.solve(factors)
     trial = scale.trial(*work.statistics())
-    if ok and np.any(np.maximum(trial / factors, factors / trial) > _RESCALE):
+    if ok and _differ(trial, factors):
         ok = work.solve(trial)
         trial = scale.trial(*work.statistics())
-        if np.any(np.maximum(trial / factors, factors / trial) > _RESCALE):
+        if _differ(trial, factors):
             ok = work.solve(trial)
     for _ in range(_ROUNDS):
         if not ok or work.screen() == 0:
@@ -168,6 +168,10 @@ def update(
         state.x = state.x + work.dx
         state.cov = work.P_new
     return work.outcome(ok)
+
+
+def _differ(trial: Vector, factors: Vector) -> bool:
+    return bool((np.maximum(trial / factors, factors / trial) > _RESCALE).any())
 
 
 class _Work:
@@ -218,7 +222,7 @@ class _Work:
         """Return residuals and what was used."""
         n, used = self.count, self.observations[:, W] > 0.0
         phase, w = used[n:], self.observations[n:, W]
-        redundancy = np.clip(self.variance[n:][phase] * w[phase], 0.0, 1.0)
+        redundancy = np.minimum(np.maximum(self.variance[n:][phase] * w[phase], 0.0), 1.0)
         chi2 = float(np.sum(self.value[n:][phase] ** 2 * w[phase]))
         return Update(ok, self.value[:n], self.value[n:], used[:n], phase, chi2, float(np.sum(redundancy)))
 

@@ -6,6 +6,7 @@ when what is held determines them. All thresholds are log odds (see ``ambiguity.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import exp, inf, log, sqrt
 from typing import Final
 
@@ -13,11 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
-from rtkmesh.rtk.ambiguity import NODE_LIMIT, PRIOR_DOF, choose_references, compare_integers, condition, log_odds, search_pairs
+from rtkmesh.rtk.ambiguity import (
+    NODE_LIMIT,
+    PRIOR_DOF,
+    choose_references,
+    compare_integers,
+    condition,
+    held_differences,
+    held_references,
+    log_odds,
+    pack_pairs,
+    search_pairs,
+)
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions
 from rtkmesh.rtk.solution import Reason
-from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, INTEGER, SLOPE_KEY, FilterState
+from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, INTEGER, SLOPE_KEY, FilterState, length_m
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -213,9 +225,10 @@ class Validation:
 
     def _learn_glonass(self, state: FilterState, everything: Candidates, held_pairs: Indices) -> None:
         """Trust GLONASS integers once they agree with those of the others, with a slope that fits; remember the slope."""
-        slope = int(np.searchsorted(state.keys, SLOPE_KEY))
-        glonass = everything.satellite // SATELLITES_PER_SYSTEM == GLONASS
-        if slope == len(state.keys) or state.keys[slope] != SLOPE_KEY or glonass.sum() < 3:
+        slope = int(state.keys.searchsorted(SLOPE_KEY))
+        if slope == len(state.keys) or state.keys[slope] != SLOPE_KEY:
+            return
+        if np.count_nonzero(everything.satellite // SATELLITES_PER_SYSTEM == GLONASS) < 3:
             return
         if self._glonass:
             x, P = np.empty(1), np.empty((1, 1))
@@ -276,27 +289,23 @@ class Validation:
         if len(new) == 0:
             return
         held = candidates.take(known)
-        reference = np.full(len(new), -1, np.int64)
-        for k in range(len(new)):
-            same = np.flatnonzero(held.group == new.group[k])
-            if len(same):
-                reference[k] = held.row[same[np.argmax(held.weight[same])]]
-        usable = reference >= 0
-        if not usable.any():
+        nearest = np.empty(len(new), np.int64)
+        if held_references(new.group, held.group, held.weight, nearest) == 0:
             return
-        rows, reference = new.row[usable], reference[usable]
-        wanted = np.unique(np.concatenate((rows, reference))) + state.dynamic
+        usable = nearest >= 0
+        rows, reference = new.row[usable], held.row[nearest[usable]]
+        pairs, wanted = np.column_stack((rows, reference)) + state.dynamic, np.empty(2 * len(rows), np.int64)
+        wanted = wanted[: pack_pairs(pairs, wanted)]
         x, P = np.empty(len(wanted)), np.empty((len(wanted), len(wanted)))
         norm = condition(state.x, state.cov, held_pairs, _held_integers(state, held_pairs), 0.0, wanted, x, P)
         if norm == inf:
             return
-        pairs = np.column_stack((np.searchsorted(wanted, rows + state.dynamic), np.searchsorted(wanted, reference + state.dynamic)))
         scale = max(1.0, norm / len(held_pairs))
         age = history[rows, ARC_EPOCHS]
-        ages = np.unique(age)
-        for least in np.unique(ages[np.linspace(0, len(ages) - 1, JOIN_TRIES).astype(np.intp)]):
-            old = age >= least
-            fixed, norms = np.zeros((2, int(old.sum()))), np.zeros(2)
+        ages = sorted(set(age.tolist()))
+        for k in _spread(len(ages)):
+            old = age >= ages[k]
+            fixed, norms = np.zeros((2, np.count_nonzero(old))), np.zeros(2)
             status, _ = search_pairs(x, P, pairs[old], NODE_LIMIT, fixed, norms)
             if status == OK and norms[1] - norms[0] >= 2.0 * JOIN_ODDS * scale and norms[0] <= NORM_LIMIT * scale * len(fixed[0]):
                 history[rows[old], INTEGER] = history[reference[old], INTEGER] + fixed[0]
@@ -306,24 +315,29 @@ class Validation:
         """Return the state that follows from what is held now."""
         pairs = _pairs(state, _held(state, candidates))
         threshold = _ratio_for(len(free.pairs), self._confidence * ACCEPT_AT_ONCE)
-        unfixed = Resolution(Reason.RATIO, ratio=free.ratio, odds=free.odds, success=free.success, threshold=threshold)
+
+        def unfixed(reason: Reason) -> Resolution:
+            return Resolution(reason, ratio=free.ratio, odds=free.odds, success=free.success, threshold=threshold)
+
         if len(pairs) < 4:
-            return replace(unfixed, reason=Reason.FEW_AMBIGUITIES) if len(free.pairs) < self.options.minimum_ambiguities else unfixed
-        wanted = np.arange(state.dynamic)
+            return unfixed(Reason.FEW_AMBIGUITIES if len(free.pairs) < self.options.minimum_ambiguities else Reason.RATIO)
         x, P = np.empty(state.dynamic), np.empty((state.dynamic, state.dynamic))
         integers = _held_integers(state, pairs)
-        norm = condition(state.x, state.cov, pairs, integers, 0.0, wanted, x, P)
+        norm = condition(state.x, state.cov, pairs, integers, 0.0, np.arange(state.dynamic), x, P)
         if norm == inf or norm > 2.0 * NORM_LIMIT * len(pairs) or self._doubts > 0 or not self._shown:
-            return replace(unfixed, reason=Reason.VALIDATION)
+            return unfixed(Reason.VALIDATION)
         if P[0, 0] + P[1, 1] + P[2, 2] > FIX_SIGMA_M**2:
-            return replace(unfixed, reason=Reason.FLOAT_TOO_UNCERTAIN)
+            return unfixed(Reason.FLOAT_TOO_UNCERTAIN)
         if prediction is not None:
             limit_m = PREDICTION_LIMIT_M + 4.0 * (prediction.sigma_m + sqrt(P[0, 0] + P[1, 1] + P[2, 2]))
-            if np.linalg.norm(x[:3] - prediction.baseline_ecef_m) > limit_m:
+            if length_m(x[:3] - prediction.baseline_ecef_m) > limit_m:
                 self._note(state, True)
-                return replace(unfixed, reason=Reason.VALIDATION)
+                return unfixed(Reason.VALIDATION)
         grade = 1 + (self._confirmed > 0) + (self._confirmed >= STREAK_EPOCHS and state.time_s - self._held_since_s >= STREAK_S)
-        return replace(unfixed, reason=Reason.OK, x=x, P=P, pairs=pairs, integers=integers, count=len(pairs), grade=int(grade))
+        return Resolution(
+            Reason.OK, x, P, pairs, integers, ratio=free.ratio, odds=free.odds, threshold=threshold, success=free.success,
+            count=len(pairs), grade=int(grade),
+        )  # fmt: skip
 
     @property
     def confirmations(self) -> int:
@@ -383,6 +397,12 @@ def _without_slope(state: FilterState) -> FilterState:
     return replace(state, x=x, cov=P)
 
 
+@lru_cache(maxsize=64)
+def _spread(count: int) -> list[int]:
+    """Return up to JOIN_TRIES places spread evenly over so many."""
+    return sorted(set(np.linspace(0, count - 1, JOIN_TRIES).astype(np.intp).tolist()))
+
+
 def _pairs(state: FilterState, candidates: Candidates) -> Indices:
     """Return (state, reference) of all double differences that the candidates form."""
     out = np.empty((len(candidates), 2), np.int64)
@@ -403,8 +423,7 @@ def _length_norms(state: FilterState, pairs: Indices, fixed: Matrix, constraint:
 
 
 def _held_integers(state: FilterState, pairs: Indices) -> Vector:
-    held = state.history[:, INTEGER]
-    return held[pairs[:, 0] - state.dynamic] - held[pairs[:, 1] - state.dynamic]
+    return held_differences(state.history, INTEGER, pairs, state.dynamic)
 
 
 def _hold(state: FilterState, pairs: Indices, integers: Vector) -> None:

@@ -1,7 +1,8 @@
 """The solver role: one solver instance. Streams in, solutions out; commands really act on its engine."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import msgspec
@@ -54,7 +55,8 @@ class SolverService(Service):
         super().__init__(context)
         self._table: SolverTable = context.deployment.solver[context.id]
         self._running = self._table.autostart
-        self._session = Session(self._session_options(self._table))
+        with self._refusals():
+            self._session = Session(self._session_options(self._table))
         self._inputs = {name: InputStream(name, source, self._ingest(name).replay) for source, name in self._sources()}
         self._sequence = 0
         self._statuses: Counter[str] = Counter()
@@ -144,11 +146,16 @@ class SolverService(Service):
         return self.context.deployment.ingest[name]
 
     def _session_options(self, table: SolverTable) -> SessionOptions:
-        """Return the engine's options of a table with this solver's streams; ConfigError when the engine refuses them."""
+        """Return the engine's options of a table with this solver's streams."""
         replay = all(self._ingest(name).replay for _, name in self._sources())
         known = known_position(self._ingest(table.base)) if table.base else None
+        return session_options(table, replay=replay, base_position_ecef_m=known)
+
+    @contextmanager
+    def _refusals(self) -> Generator[None]:
+        """Turn what the engine says of its options into the fault of a file."""
         try:
-            return session_options(table, replay=replay, base_position_ecef_m=known)
+            yield
         except (OptionError, ValueError) as error:
             raise ConfigError(self.context.config_file.name, None, f"[solver.{self.context.id}] {error}") from error
 
@@ -245,7 +252,10 @@ class SolverService(Service):
         except ConfigError as error:
             raise CommandError(Code.BAD_ARGUMENTS, str(error)) from error
         table = replace_streams(table, self._table)
-        self._session.restart(self._session_options(table))
+        with self._refusals():
+            options = self._session_options(table)
+            Session(options)  # refuses before anything is changed
+        self._session.restart(options)
         self._table = table
         self.context.event(Level.INFO, "loaded", f"options of {file} taken, fresh filter")
         return done(f"loaded {file}", mode=table.mode)
