@@ -21,13 +21,15 @@ setup: $(READY) $(WARM) ## make .venv with everything (quick the second time)
 $(READY): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "rtkmesh needs Python >= 3.11; say PYTHON=python3.12 or the like"; exit 2; }
 	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV) || { $(PYTHON) -m venv --without-pip --clear $(VENV) && $(PYTHON) -m pip --python $(BIN)/python install --quiet pip; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --group test --group lint
+	@echo "installing into $(VENV)" >&2
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1" >&2
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --group test --group lint >&2
 	@touch $@
 
 # Compiled kernels are kept beside the sources; a change of the engine compiles what it touches on its next use.
 $(WARM): $(READY)
-	$(BIN)/rtkmesh warm
+	@echo "compiling the engine: a minute or two, once" >&2
+	@$(BIN)/rtkmesh warm >&2
 	@touch $@
 
 demo: setup ## the main job on simulated receivers; ARGS="--seconds 30 --json"

@@ -1,7 +1,6 @@
 """``rtkmesh demo``: from simulated bytes to a fix and a heading, across real processes."""
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -71,10 +70,29 @@ def test_shipped_replays_run_to_their_end_on_their_own(name: str, data: Path, po
     assert all(row["restarts"] == 0 for row in end["processes"])
 
 
-def test_unknown_recording_fails_with_its_name(up: Callable[..., Deployment]) -> None:
-    """A file that is not there leaves the deployment up and says so in the receiver's status."""
-    deployment = up('[ingest.rover]\nsource = "file:///nonexistent/rover.ubx"\n')
-    deployment.until(lambda: "nonexistent" in json.dumps(deployment.ask("rover", "status").data))
+def test_unknown_recording_is_refused_with_its_line(tmp_path: Path) -> None:
+    """A file that is not there is said before any process starts: file, line, exit code 2."""
+    file = tmp_path / "d.toml"
+    file.write_text('[ingest.rover]\nsource = "file:///nonexistent/rover.ubx"\n')
+    command = [sys.executable, "-m", "rtkmesh_services.cli.main", "up", str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"{file}:2: [ingest.rover] source: '/nonexistent/rover.ubx': no such file" in done.stderr
+
+
+def test_recording_of_no_kind_leaves_the_deployment_up_and_says_so(up: Callable[..., Deployment], tmp_path: Path) -> None:
+    """A file with rubbish in it is told in the receiver's status."""
+    (tmp_path / "rubbish.ubx").write_bytes(bytes(range(256)) * 40)
+    deployment = up(f'[ingest.rover]\nsource = "file://{tmp_path}/rubbish.ubx"\n')
+    deployment.until(lambda: "no recording of a known kind" in json.dumps(deployment.ask("rover", "status").data))
     assert deployment.interrupt() == 0
     assert deployment.left() == []
-    assert os.environ.get("RTKMESH_TEST") is None
+
+
+def test_recording_of_no_kind_ends_a_replay_as_failed(up: Callable[..., Deployment], tmp_path: Path) -> None:
+    """With --exit-at-end a recording that cannot be played is the end, with its reason and exit code 1."""
+    (tmp_path / "empty.ubx").write_bytes(b"")
+    deployment = up(f'[ingest.rover]\nsource = "file://{tmp_path}/empty.ubx"\n', "--exit-at-end")
+    assert deployment.wait(60.0) == 1
+    assert deployment.events[-1]["reason"].endswith("empty.ubx is empty")
+    assert deployment.left() == []

@@ -198,10 +198,18 @@ class ZenohBus(Bus):
 
     def on_live(self, callback: Callable[[Liveliness], None]) -> Handle:
         """See ``Bus``."""
+        present: set[tuple[str, str]] = set()
+        lock = threading.Lock()
 
         def call(sample: zenoh.Sample) -> None:
-            if name := live_of(str(sample.key_expr)):
-                callback(Liveliness(*name, alive=sample.kind == zenoh.SampleKind.PUT))
+            name, alive = live_of(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT
+            if name is None:
+                return
+            with lock:  # a token that comes while the history is asked for is told twice
+                known = name in present
+                (present.add if alive else present.discard)(name)
+            if alive != known:
+                callback(Liveliness(*name, alive=alive))
 
         handler = Callback(guarded(self, call), indirect=False)
         return self._keep(self._session.liveliness().declare_subscriber(LIVE.expression(), handler, history=True))
