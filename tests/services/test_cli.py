@@ -19,6 +19,7 @@ from rtkmesh_services.cli.echo import full_expression, line_of, page_of
 from rtkmesh_services.cli.main import COMMANDS
 from rtkmesh_services.cli.network import EXIT_FAILED, EXIT_REFUSED, EXIT_TIMEOUT, EXIT_UNREACHABLE, EXIT_USAGE, exit_code
 from rtkmesh_services.cli.show import keys, schema
+from rtkmesh_services.cli.status import show_status, status_exit_code, unanswering
 from rtkmesh_services.runtime.bus import Sample
 
 
@@ -146,6 +147,20 @@ def test_keys_and_schemas_are_printed(capsys: pytest.CaptureFixture[str]):
     assert json.loads(capsys.readouterr().out)["x-rtkmesh"]["encoding"] == "application/msgpack;rtkmesh.Reply/1"
     assert schema("Repli") == EXIT_USAGE
     assert "did you mean 'Reply'" in capsys.readouterr().err
+
+
+def test_status_tells_also_the_processes_that_failed(capsys: pytest.CaptureFixture[str]):
+    """A process that is not there cannot answer: control's word stands for it, and the exit code says it."""
+    rows = [
+        {"id": "control", "role": "control", "state": "RUNNING", "reason": ""},
+        {"id": "rtk", "role": "solver", "state": "FAILED", "reason": "exit code 2: no such satellite"},
+    ]
+    data = {"id": "control", "role": "control", "state": "DEGRADED", "start_id": "a", "heartbeat": 1, "data": {"processes": rows}}
+    replies = [Reply(ok=True, code=Code.OK, id="control", data=data)]
+    assert unanswering(replies) == rows[1:]
+    assert status_exit_code(replies) == EXIT_FAILED
+    show_status(replies)
+    assert "exit code 2: no such satellite" in capsys.readouterr().out
 
 
 @pytest.mark.e2e

@@ -120,7 +120,7 @@ class World:
 
 def test_at_first_processes_wait_then_they_are_stale(world: World) -> None:
     """Nothing heard yet is no alarm for the first seconds."""
-    for after_s, state in ((1.0, State.RUNNING), (5.0, State.STALE)):
+    for after_s, state in ((14.0, State.RUNNING), (2.0, State.STALE)):
         world.clock.advance(after_s)
         world.settle()
         for name, text in (("rtk", "rover"), ("heading", "vector")):

@@ -70,6 +70,8 @@ _ZENITH_SIGMA_M: Final = 0.02
 _ZENITH_WALK_M: Final = 5e-5  # per square root of second
 _SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
 _COMPLEMENT_S: Final = 10.0  # how much older a base epoch may be that gives a system which the newest lacks
+_ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
+_ABSURD_EPOCHS: Final = 3
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
 
 
@@ -87,6 +89,7 @@ class Rtk:
         self._validation = Validation(options.ambiguity, constraint)
         self._prediction: Prediction | None = None
         self._resets = 0
+        self._absurd = 0
         self._was_fixed = False
         self._base_s = nan
         self._single: SinglePointOptions | None = None
@@ -132,7 +135,16 @@ class Rtk:
         state = self._seeded(rover, single, base_position_ecef_m)
         if state is None:
             return from_single(rover, base, single)
-        return self._relative(state, rover, base, ephemerides, klobuchar, (single, base_single))
+        return self._doubted(self._relative(state, rover, base, ephemerides, klobuchar, (single, base_single)))
+
+    def _doubted(self, solution: Solution) -> Solution:
+        """Begin anew when the codes contradict the phases' position beyond all multipath, epoch after epoch."""
+        absurd = solution.code_rms_m > _ABSURD_CODE_M
+        self._absurd = self._absurd + 1 if absurd else 0
+        if self._absurd >= _ABSURD_EPOCHS:
+            self._absurd = 0
+            self.reset()
+        return solution
 
     # --- where the filter starts and how it moves on ---
 

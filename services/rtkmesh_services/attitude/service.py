@@ -20,6 +20,7 @@ from rtkmesh_services.runtime.statistics import RollingQuantiles
 
 FIX, FLOAT = 1, 2
 STALE_S = 5.0
+FIRST_S = 15.0  # the same for the first solution: the solver has to start
 
 
 class AttitudeService(Service):
@@ -86,10 +87,10 @@ class AttitudeService(Service):
         return self.context.clock.mono_ns() * 1e-9
 
     def _health(self, age_s: float | None) -> tuple[State, str]:
-        if self._now_s() - (self._heard_s or self._opened_s) > STALE_S:
-            return State.STALE, f"no solutions from {self._table.solver}"
-        if age_s is None:
+        if age_s is None and self._now_s() - self._opened_s <= FIRST_S:
             return State.RUNNING, f"waiting for {self._table.solver}"
+        if age_s is None or age_s > STALE_S:
+            return State.STALE, f"no solutions from {self._table.solver}"
         if self._last is not None and self._last.integrity != Integrity.OK.value:
             return State.DEGRADED, self._last.reason
         return State.RUNNING, ""

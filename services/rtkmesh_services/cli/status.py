@@ -46,12 +46,13 @@ def status(
         while True:
             replies = call(bus, "*", "status", {}, timeout)
             if as_json:
-                sys.stdout.write(msgspec.json.encode([_row(reply) for reply in replies]).decode() + "\n")
+                rows = [*map(_row, replies), *unanswering(replies)]
+                sys.stdout.write(msgspec.json.encode(rows).decode() + "\n")
                 sys.stdout.flush()
             else:
-                _print(replies, watch=watch)
+                show_status(replies, watch=watch)
             if not watch:
-                return _exit_code(replies)
+                return status_exit_code(replies)
             time.sleep(1.0)
 
 
@@ -63,18 +64,31 @@ def status_of(reply: Reply) -> ServiceStatus | None:
         return None
 
 
+def unanswering(replies: list[Reply]) -> list[dict[str, Any]]:
+    """Return control's rows of the processes that it keeps and that are not on the network: failed, stopped, about to start."""
+    heard = {reply.id for reply in replies}
+    rows: list[dict[str, Any]] = []
+    for found in filter(None, map(status_of, replies)):
+        processes: Any = found.data.get("processes") if found.role == "control" else None
+        rows += [row for row in processes or () if row["id"] not in heard]
+    return rows
+
+
 def _row(reply: Reply) -> dict[str, Any]:
     return reply.data if reply.ok else {"id": reply.id, "state": reply.code.value.upper(), "reason": reply.message}
 
 
-def _exit_code(replies: list[Reply]) -> int:
+def status_exit_code(replies: list[Reply]) -> int:
+    """Return 0 when all is well, 1 when a process has failed or does not answer, 3 when nobody is there."""
     if not replies:
         return EXIT_UNREACHABLE
     found = [status_of(reply) for reply in replies]
-    return EXIT_OK if all(row is not None and row.state is not State.FAILED for row in found) else EXIT_FAILED
+    well = all(row is not None and row.state is not State.FAILED for row in found)
+    return EXIT_OK if well and all(row["state"] != State.FAILED for row in unanswering(replies)) else EXIT_FAILED
 
 
-def _print(replies: list[Reply], *, watch: bool) -> None:
+def show_status(replies: list[Reply], *, watch: bool = False) -> None:
+    """Print the table; with ``watch`` on an empty screen."""
     from rich.console import Console
 
     console = Console() if sys.stdout.isatty() else Console(width=_WIDE)
@@ -99,6 +113,9 @@ def _table(replies: list[Reply]) -> "Table":
         inputs = ", ".join(_input(row) for row in found.inputs)
         state = Text(found.state.value, _COLOURS[found.state])
         table.add_row(found.id, found.role, state, _duration(found.uptime_s), Text(clean(inputs)), latencies, Text(clean(found.reason)))
+    for row in unanswering(replies):
+        state = Text(row["state"], _COLOURS.get(row["state"], "yellow"))
+        table.add_row(row["id"], row["role"], state, "", "", "", Text(clean(row["reason"])))
     return table
 
 

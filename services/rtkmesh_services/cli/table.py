@@ -61,7 +61,7 @@ class Column:
 _SOLUTIONS: Final = (
     Column("solver"),
     Column("state"),
-    Column("position / baseline", 1, least=35),
+    Column("position / baseline", 1, least=32),
     Column("sigma H, V m", 4, right=True),
     Column("age s", 6, right=True),
     Column("ratio", 7, right=True, least=6),
@@ -253,7 +253,7 @@ def _sigma(message: SolutionMessage) -> tuple[float, float]:
 def _place(message: SolutionMessage) -> str:
     if message.mode == "moving-base":
         length_m = math.sqrt(sum(part * part for part in message.baseline_enu_m))
-        parts = (f"{name} {_signed(part)}" for name, part in zip("ENU", message.baseline_enu_m, strict=True))
+        parts = (f"{name}{_signed(part)}" for name, part in zip("ENU", message.baseline_enu_m, strict=True))
         return f"{_number(length_m, 3)} m  {' '.join(parts)}"
     if not math.isfinite(message.lat_deg):
         return message.reason or "-"

@@ -15,7 +15,7 @@ class Followers:
         attitudes = [id_ for id_, table in deployment.attitude.items() if table.solver == me]
         self._missing = {*outputs, *attitudes}
         self._formats = {table.format for table in outputs.values()} - {"json"}
-        self._here = self._told = not self._missing
+        self._here = not self._missing
 
     def watch(self) -> None:
         """Begin to look; the formats are declared here, so that the bus knows their subscribers before the first solution."""
@@ -27,13 +27,6 @@ class Followers:
         """Return whether all have come."""
         self._here = self._here or (not self._missing and self._listened())
         return self._here
-
-    def came(self) -> bool:
-        """Return once that all have come."""
-        if self._told or not self.here():
-            return False
-        self._told = True
-        return True
 
     def _listened(self) -> bool:
         listened = [self._bus.matched(SOL_TEXT, format=name) for name in self._formats]  # every one is declared by it

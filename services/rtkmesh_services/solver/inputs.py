@@ -2,11 +2,13 @@
 
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Final
 
-from rtkmesh.gnss.epoch import Epoch
+import numpy as np
+
+from rtkmesh.gnss.epoch import SLIP, Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.session import EndOfStream as End
 from rtkmesh.rtk.session import Input, Source
@@ -30,6 +32,7 @@ TYPES: Final[dict[str, type[Numbered]]] = {
 }
 STREAMS: Final = (OBS, EPH, IONO, REF, END)
 CREDIT_EVERY: Final = 8  # messages
+REPLAY_HOLD_S: Final = 10.0  # a replay is worth waiting for what a loaded machine recovers late
 STRANGER_S: Final = 1.0  # a new start of an ingest is believed when the old one has been silent for so long
 
 
@@ -60,10 +63,11 @@ class InputStream:
     fed: int = -1
     credited: int = -2
     _ours_s: float = -inf
+    _epochs_of: str = ""
     _open: deque[tuple[int, GpsTime]] = field(default_factory=deque[tuple[int, GpsTime]])
 
     def __post_init__(self) -> None:
-        self.sequencer = Sequencer(hold_s=2.0 if self.replay else 0.1, complete=self.replay)
+        self.sequencer = Sequencer(hold_s=REPLAY_HOLD_S if self.replay else 0.1, complete=self.replay)
 
     def take(self, sample: Sample, now_s: float) -> Iterator[Arrival]:
         """Take one sample and yield what is now in order; what cannot be decoded is counted."""
@@ -119,10 +123,20 @@ class InputStream:
         """Return the time up to which this stream is needed for a rover epoch that waits."""
         return wire_time(pending + (wait_s + 1.0)) if pending is not None and self.source is Source.BASE else None
 
+    def _after_restart(self, epoch: Epoch, start_id: str) -> Epoch:
+        """Return the epoch, all slips if it is the first one of a restarted ingest: nobody watched the phases meanwhile."""
+        restarted, self._epochs_of = self._epochs_of not in ("", start_id), start_id
+        return (
+            replace(epoch, flags=np.where(np.isfinite(epoch.phase_cyc), epoch.flags | SLIP, epoch.flags).astype(np.uint8))
+            if restarted
+            else epoch
+        )
+
     def _arrivals(self, message: Numbered) -> Iterator[Arrival]:
         self.fed = max(self.fed, message.sequence) if message.start_id == self.sequencer.start_id else message.sequence
         try:
-            for value in _values(message):
+            for said in _values(message):
+                value = self._after_restart(said, message.start_id) if isinstance(said, Epoch) else said
                 if isinstance(value, Epoch):
                     self._open.append((message.sequence, value.time))
                     self.newest = value.time

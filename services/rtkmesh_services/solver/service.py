@@ -35,7 +35,9 @@ from rtkmesh_services.solver.warming import warm_engine
 SATELLITES_PERIOD_NS = 1_000_000_000
 READY_PERIOD_NS = 500_000_000
 STALE_S = 5.0
+FIRST_S = 15.0  # the same for the first observation: receivers and their processes have to start
 FOLLOWERS_S = 10.0  # how long a replay is held for the processes that take the solutions: the first ones shall not be lost
+HISTORY_S = 0.2  # what was cached comes first: a message that overtakes it would be taken for newer and the cached one dropped
 RECEIVE_TIMES = 1024  # epochs whose arrival is remembered for the latency
 
 
@@ -72,14 +74,13 @@ class SolverService(Service):
         warm_engine()
 
     def open(self) -> None:
-        """Subscribe to the streams and tell replays that we are ready."""
+        """Subscribe to the streams; replays are told from the loop that we are ready."""
         self._opened_s = self._now_s()
         self._followers.watch()
         for name in self._inputs:
             for stream in STREAMS:
                 fields = {"satellite": "*"} if "{satellite}" in stream.template else {}
                 self.context.subscribe(stream.key(name, **fields), lane=f"in:{name}", history=stream.cache > 0)
-        self._credit(force=True)
 
     def handle(self, item: Any) -> None:
         """Take one sample of a stream and solve what can be solved."""
@@ -100,7 +101,7 @@ class SolverService(Service):
             for arrival in stream.overdue(now_s):
                 self._feed(arrival.source, arrival.message, arrival.received_mono_ns, now_s)
         self._advance()
-        if now_mono_ns - self._ready_ns >= READY_PERIOD_NS or self._followers.came():
+        if now_mono_ns - self._ready_ns >= READY_PERIOD_NS and self._is_ready():
             self._ready_ns = now_mono_ns
             self._credit(force=True)
 
@@ -208,9 +209,14 @@ class SolverService(Service):
             self._satellites_ns = now_ns
             context.bus.publish(SAT, satellites_message(solution, context.id))
 
+    def _is_ready(self) -> bool:
+        """Return whether replays may begin: all that is cached has come, and so have those who take the solutions."""
+        waited_s = self._now_s() - self._opened_s
+        return waited_s >= HISTORY_S and (self._followers.here() or waited_s >= FOLLOWERS_S)
+
     def _credit(self, *, force: bool = False) -> None:
         """Tell replays how far we are; without ``force`` only when it is worth a message."""
-        if not self._followers.here() and self._now_s() < self._opened_s + FOLLOWERS_S:
+        if not self._is_ready():
             return
         pending = self._session.pairing.waiting_for()
         solved = None if self._newest is None else self._newest.time
@@ -270,10 +276,10 @@ class SolverService(Service):
         if self._ended():
             return State.STOPPED, "the recordings are at their end"
         rover = self._inputs[self._table.rover]
-        if now_s - (rover.heard_s or self._opened_s) > STALE_S and not (rover.replay and rover.heard_s):
-            return State.STALE, f"no observations from {rover.name}"
-        if rover.heard_s is None:
+        if rover.heard_s is None and now_s - self._opened_s <= FIRST_S:
             return State.RUNNING, f"waiting for {rover.name}"
+        if rover.heard_s is None or (now_s - rover.heard_s > STALE_S and not rover.replay):
+            return State.STALE, f"no observations from {rover.name}"
         if strangers := [stream.name for stream in self._inputs.values() if stream.strangers]:
             return State.DEGRADED, f"two processes publish as {strangers[0]}: the one heard first is used"
         if self._newest is None:
