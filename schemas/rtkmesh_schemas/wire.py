@@ -58,10 +58,7 @@ def decode(type_: type[T], data: bytes, encoding: str = "") -> T:
     if decoder is None:
         with _making:
             decoder = _decoders[type_] = msgspec.msgpack.Decoder(type_)
-    try:
-        return decoder.decode(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise DecodeError(f"no {type_.__name__}: {error}") from error
+    return _decoded(decoder, type_, data)
 
 
 def decode_json(type_: type[T], data: bytes) -> T:
@@ -70,6 +67,10 @@ def decode_json(type_: type[T], data: bytes) -> T:
     if decoder is None:
         with _making:
             decoder = _json_decoders[type_] = msgspec.json.Decoder(type_)
+    return _decoded(decoder, type_, data)
+
+
+def _decoded(decoder: "msgspec.msgpack.Decoder[T] | msgspec.json.Decoder[T]", type_: type[T], data: bytes) -> T:
     try:
         return decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

@@ -56,7 +56,6 @@ class IngestService(Service):
         self._state, self._detail = LinkState.CONNECTING, ""
         self._bytes = self._errors = self._writes = self._writes_lost = 0
         self._heard_ns = context.clock.mono_ns()
-        self._fix: ReceiverFix | None = None
 
     def warm(self) -> None:
         """Compile the decoders."""
@@ -200,9 +199,7 @@ class IngestService(Service):
             self._publish(played.item, played.mono_ns)
 
     def _publish(self, message: Message, mono_ns: int) -> None:
-        if isinstance(message, ReceiverFix):
-            self._fix = message
-        else:
+        if not isinstance(message, ReceiverFix):
             self._publisher.message(message, mono_ns)
 
     def _report_link(self, report: LinkReport) -> None:
