@@ -3,7 +3,8 @@
 ServiceError
 ├── SourceError         a recording or a receiver's source is missing, empty or of no known kind
 ├── BusError            the network refused something: an address in use, a wrong key
-│   └── UnreachableError    no hub answers
+│   ├── UnreachableError    no hub answers
+│   └── NamesakeError       another process has this id
 ├── CommandError        a command cannot be done; carries the code of the reply
 └── StoppedError        the process was told to end while it waited
 """
@@ -25,6 +26,10 @@ class BusError(ServiceError):
 
 class UnreachableError(BusError):
     """No hub answers."""
+
+
+class NamesakeError(BusError):
+    """Another process has this id."""
 
 
 class CommandError(ServiceError):

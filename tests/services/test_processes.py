@@ -70,6 +70,18 @@ def _has_handler(pid: int, number: signal.Signals) -> bool:
     return bool(caught >> (number - 1) & 1)
 
 
+def test_a_second_process_of_an_id_ends_and_the_first_stays(site: Any):
+    """It names the other one; the first still answers."""
+    with site.bus() as bus:
+        first = site.process("p")
+        site.is_running(bus, "p")
+        code, error, _ = ended(site.process("p"), 20.0)
+        assert code == 2
+        assert f"another process has the id 'p': a solver, pid {first.pid} on " in error
+        do(bus, "publish", count=1)
+        assert first.poll() is None
+
+
 @pytest.mark.parametrize(("op", "words"), [("crash", "told to crash"), ("crash_thread", "told to crash in a thread")])
 def test_an_uncaught_exception_ends_the_process_with_70(site: Any, op: str, words: str):
     """No zombie that still answers: an event, the traceback, a FAILED status, gone."""

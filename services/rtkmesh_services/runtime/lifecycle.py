@@ -17,6 +17,7 @@ from rtkmesh_schemas.status import Level, Metrics, Quantiles, ServiceStatus, Sta
 from rtkmesh_schemas.wire import JSON, MSGPACK, encode_json
 from rtkmesh_services.runtime.bus import Handle, Query
 from rtkmesh_services.runtime.commands import CommandDesk, encoded_as_asked, metric_values, wants_msgpack
+from rtkmesh_services.runtime.namesake import Namesake
 from rtkmesh_services.runtime.service import Report, Service, refused
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 
@@ -34,6 +35,7 @@ class Lifecycle:
         self.context = service.context
         self._state, self._reason = State.STARTING, ""
         self._desk = CommandDesk(service, self._status_now, self.end)
+        self._namesake = Namesake(self.context)
         self._warm_in_thread = warm_in_thread
         self._warmed = threading.Event()
         self._warm_error: BaseException | None = None
@@ -62,6 +64,7 @@ class Lifecycle:
         context.inbox.lane(_COMMANDS, capacity=_COMMAND_CAPACITY, urgent=True, on_drop=self._desk.busy)
         for stream in (stream for stream in (CMD, LATEST) if context.role in stream.owner):
             self._handles.append(context.bus.queryable(stream.key(context.id), lambda query: context.inbox.put(query, lane=_COMMANDS)))
+        self._handles += self._namesake.watch()
         self._become(State.WARMING)
         if self._warm_in_thread:
             threading.Thread(target=self._warm, name="warm", daemon=True).start()
@@ -77,6 +80,7 @@ class Lifecycle:
             self.service.handle(item)
         if not self._desk.opened and self._warmed.is_set():
             self._open()
+        self._namesake.require_none()
         now_ns = self.context.clock.mono_ns()
         if now_ns >= self._next_tick_ns:
             self._tick(now_ns)
