@@ -26,7 +26,7 @@ $(READY): pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --group test --group lint >&2
 	@touch $@
 
-# Compiled kernels are kept beside the sources; a change of the engine compiles what it touches on its next use.
+# Compiled kernels are kept in the user's cache, one folder per state of the engine's sources.
 $(WARM): $(READY)
 	@echo "compiling the engine: a minute or two, once" >&2
 	@$(BIN)/rtkmesh warm >&2

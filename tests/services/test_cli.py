@@ -132,9 +132,14 @@ def test_check_lists_all_faults(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert f"{file}:4: [ingest.b] source: 'nothing.ubx': no such file" in error
     assert check(file, as_json=True) == EXIT_USAGE
     assert [row["line"] for row in json.loads(capsys.readouterr().out)["errors"]] == [2, 4]
-    file.write_text('[ingest.a]\nsource = "tcp://localhost:5015"\n')
+    file.write_text('[ingest.a]\nsource = "sim://demo/bow"\n[ingest.b]\nsource = "sim://demo/base?rate=3.3"\n')
+    assert check(file) == EXIT_USAGE
+    error = capsys.readouterr().err
+    assert f"{file}:2: [ingest.a] source: demo/bow: scenario 'demo' has no stream 'bow'; there are rover" in error
+    assert f"{file}:4: [ingest.b] source: demo/base: rate 3.3 Hz" in error
+    file.write_text('[ingest.a]\nsource = "tcp://localhost:5015"\n[ingest.b]\nsource = "sim://demo/base"\n')
     assert check(file) == 0
-    assert "right; 3 processes: hub, control, a" in capsys.readouterr().out
+    assert "right; 4 processes: hub, control, a, b" in capsys.readouterr().out
 
 
 def test_keys_and_schemas_are_printed(capsys: pytest.CaptureFixture[str]):

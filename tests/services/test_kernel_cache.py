@@ -41,6 +41,19 @@ def test_a_folder_that_cannot_be_made_is_replaced(monkeypatch: pytest.MonkeyPatc
     assert os.access(use_kernel_cache(), os.W_OK)
 
 
+def test_a_folder_that_others_can_write_is_not_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its kernels would be anybody's code."""
+    monkeypatch.setenv(VARIABLE, "/proc/nowhere")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    usual = use_kernel_cache().parent
+    assert usual == tmp_path / f"rtkmesh-{os.getuid()}"
+    usual.chmod(0o777)
+    monkeypatch.setenv(VARIABLE, "/proc/nowhere")
+    other = use_kernel_cache().parent
+    assert other != usual
+    assert not other.stat().st_mode & 0o077
+
+
 def test_only_folders_that_nobody_uses_are_forgotten(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     ours = use_kernel_cache()

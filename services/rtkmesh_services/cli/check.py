@@ -5,7 +5,7 @@ from collections.abc import Callable
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 from cyclopts import Parameter
@@ -15,6 +15,9 @@ from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_services.cli.network import EXIT_OK, EXIT_USAGE, Json
 from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.errors import SourceError
+
+if TYPE_CHECKING:
+    from rtkmesh_services.ingest.urls import SourceUrl
 
 
 def check(
@@ -37,7 +40,7 @@ def check(
     except ConfigErrors as error:
         errors = error.errors
     else:
-        errors = url_errors(file, deployment)
+        errors = url_errors(file, deployment, simulations=True)
     if as_json:
         rows = [{"file": error.file, "line": error.line, "message": error.message} for error in errors]
         sys.stdout.write(msgspec.json.encode({"ok": not errors, "errors": rows, "processes": _processes(deployment)}).decode() + "\n")
@@ -50,8 +53,11 @@ def check(
     return EXIT_USAGE if errors else EXIT_OK
 
 
-def url_errors(file: Path, deployment: Deployment) -> list[ConfigError]:
-    """Return the faults of the sources and targets: their URLs and dates, and recordings that are not there."""
+def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False) -> list[ConfigError]:
+    """Return the faults of the sources and targets: their URLs and dates, and recordings that are not there.
+
+    ``simulations``: also what the simulator does not have, which costs a second for loading it.
+    """
     from rtkmesh_services.output.targets import parse_target
     from rtkmesh_services.runtime.logs import clean
     from rtkmesh_services.runtime.toml_lines import lines_of
@@ -66,20 +72,33 @@ def url_errors(file: Path, deployment: Deployment) -> list[ConfigError]:
             errors.append(ConfigError(str(file), lines.get(path), f"[{path[0]}.{path[1]}] {path[2]}: {clean(str(error))}"))
 
     for id, source in deployment.ingest.items():  # noqa: A001  the word of the design
-        examine(("ingest", id, "source"), partial(_look_at_source, source.source))
+        examine(("ingest", id, "source"), partial(_look_at_source, source.source, simulations))
         examine(("ingest", id, "date"), partial(_look_at_date, source.date))
     for id, output in deployment.output.items():  # noqa: A001
         examine(("output", id, "target"), partial(parse_target, output.target))
     return sorted(errors, key=lambda error: error.line or 0)
 
 
-def _look_at_source(url: str) -> None:
+def _look_at_source(url: str, simulations: bool) -> None:
     from rtkmesh_services.ingest.urls import parse_source
 
     source = parse_source(url)
     _ = source.speed
     if source.scheme == "file" and not Path(source.path).is_file():
         raise SourceError(f"{source.path!r}: no such file")
+    if source.scheme == "sim" and simulations:
+        _look_at_simulation(source)
+
+
+def _look_at_simulation(source: "SourceUrl") -> None:
+    from rtkmesh.errors import OptionError
+    from rtkmesh.gnss.time import GpsTime
+    from rtkmesh_services.ingest.replay import open_simulation
+
+    try:
+        open_simulation(source, GpsTime(2300, 0.0))
+    except OptionError as error:
+        raise SourceError(f"{source.path}: {error}") from None
 
 
 def _look_at_date(text: str) -> None:

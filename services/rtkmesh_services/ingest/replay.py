@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rtkmesh.codecs.messages import Frame, Message
 from rtkmesh.codecs.stream import StreamOptions
@@ -20,7 +20,12 @@ from rtkmesh_services.ingest.stream import is_numbered
 from rtkmesh_services.ingest.urls import SourceUrl
 from rtkmesh_services.runtime.clock import Clock
 
+if TYPE_CHECKING:
+    from rtkmesh.simulation.scenario import SimulatedStream
+
 Put = Callable[[Any], bool]
+
+DEFAULT_RATE_HZ: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,23 +131,27 @@ class Simulation:
 
     def run(self, stopping: threading.Event) -> None:
         """Send until ``stopping`` is set."""
-        from rtkmesh.simulation.scenario import open_stream  # noqa: PLC0415  only simulated receivers need it
-
-        scenario, _, stream = self._url.path.partition("/")
-        rate_hz, seed = self._url.number("rate", 5.0), int(self._url.number("seed", 1.0))
-        now = gps_now(self._clock)
         try:
-            simulated = open_stream(scenario, stream, seed=seed, rate_hz=rate_hz, start=now)
+            simulated = open_simulation(self._url, gps_now(self._clock))
         except OptionError as error:
             self._sink(LinkReport(LinkState.ERROR, f"{self._url.path}: {error}"))
             return
         self._sink(LinkReport(LinkState.CONNECTED, self._url.path))
+        pause_s = 0.4 / self._url.number("rate", DEFAULT_RATE_HZ)
         for epoch in simulated.epochs():
             if stopping.wait(max(0.0, epoch.time - gps_now(self._clock))):
                 return
             self._sink(Chunk(epoch.data, self._clock.mono_ns()))
-            if stopping.wait(0.4 / rate_hz):  # this epoch is to be solved before the next one is computed
+            if stopping.wait(pause_s):  # this epoch is to be solved before the next one is computed
                 return
+
+
+def open_simulation(url: SourceUrl, start: GpsTime) -> "SimulatedStream":
+    """Return the simulated receiver of a URL; OptionError for what the simulator does not have."""
+    from rtkmesh.simulation.scenario import open_stream  # noqa: PLC0415  only simulated receivers need it
+
+    scenario, _, stream = url.path.partition("/")
+    return open_stream(scenario, stream, seed=int(url.number("seed", 1.0)), rate_hz=url.number("rate", DEFAULT_RATE_HZ), start=start)
 
 
 def gps_now(clock: Clock) -> GpsTime:

@@ -5,6 +5,7 @@ calls in other files. A folder named by a hash of all sources makes an old form 
 """
 
 import os
+import stat
 import sys
 import time
 from hashlib import blake2b
@@ -26,10 +27,8 @@ def use_kernel_cache() -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
     except OSError:
-        from tempfile import gettempdir  # noqa: PLC0415  the exception; every command starts here
-
-        folder = Path(gettempdir()) / f"rtkmesh-{os.getuid()}" / state
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        folder = _private_folder() / state
+        folder.mkdir(exist_ok=True)
     os.environ[VARIABLE] = str(folder)
     return folder
 
@@ -54,6 +53,17 @@ def forget_old(folder: Path) -> int:
     for path in old:
         rmtree(path, ignore_errors=True)
     return len(old)
+
+
+def _private_folder() -> Path:
+    """Return a folder for temporary files into which nobody else can write: compiled kernels are code that we run."""
+    from tempfile import gettempdir, mkdtemp  # noqa: PLC0415  the exception; every command starts with this module
+
+    folder = Path(gettempdir()) / f"rtkmesh-{os.getuid()}"
+    folder.mkdir(exist_ok=True, mode=0o700)
+    found = folder.lstat()
+    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022
+    return folder if ours else Path(mkdtemp(prefix="rtkmesh-"))
 
 
 def _user_folder() -> Path:
