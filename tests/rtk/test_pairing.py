@@ -101,7 +101,7 @@ def test_a_silent_base_is_not_waited_for() -> None:
     assert max(waits.values()) <= 1.0 + 1e-9
 
 
-def test_a_base_from_the_future_is_never_used() -> None:
+def test_a_base_from_the_future_is_never_used_live() -> None:
     solved = run_live([(1.0, 1.0)], [(0.5, 5.0)], PairingOptions())
     assert solved[0][0].base is None
 
@@ -150,8 +150,45 @@ def test_replay_pairs_do_not_depend_on_how_the_streams_were_interleaved(order: l
     assert replay(rovers, bases, order, options) == expected
     assert [rover for rover, _ in expected] == pytest.approx(rovers)
     for rover, base in expected:
-        allowed = [b for b in bases if b <= rover + 0.025]
-        assert base == (pytest.approx(max(allowed)) if allowed else None)
+        past, future = [b for b in bases if b <= rover + 0.025], [b for b in bases if b > rover]
+        assert base == (pytest.approx(max(past) if past else min(future)) if bases else None)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.booleans(), max_size=80))
+def test_in_replay_a_base_from_the_future_serves_where_the_past_has_none(order: list[bool]) -> None:
+    """At the start of the base's log and after a gap beyond ``silent_s``, however the streams are interleaved."""
+    rovers, bases = [float(t) for t in range(1, 60)], [8.0, 9.0, 10.0, *(float(t) for t in range(50, 60))]
+    for tag, base in replay(rovers, bases, order, PairingOptions(replay=True, silent_s=30.0)):
+        assert base == (8.0 if tag < 8.0 else tag if tag in bases else 10.0 if tag <= 40.0 else 50.0), tag
+    matched = replay(rovers, bases, order, PairingOptions(replay=True, matched_only=True))
+    assert all(base in (None, tag) for tag, base in matched)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.booleans(), min_size=100, max_size=700), st.sets(st.integers(60, 119), max_size=20), st.sampled_from([1.0, 0.4]))
+def test_replays_of_an_orderly_base_do_not_depend_on_interleaving_either(order: list[bool], lost: set[int], slower: float) -> None:
+    """Where the log's cadence ends the wait early."""
+    rovers = [k * 0.2 for k in range(500)]
+    bases = [k * slower for k in range(120) if k not in lost]
+    options = PairingOptions(replay=True)
+    expected = replay(rovers, bases, [False] * len(bases), options)
+    assert replay(rovers, bases, order, options) == expected
+    assert all(base == pytest.approx(max(b for b in bases if b <= rover + 0.025)) for rover, base in expected)
+
+
+def test_a_replayed_rover_does_not_wait_for_epochs_that_an_orderly_slow_base_never_sends() -> None:
+    """Once 50 base epochs came in order, an epoch between two of a 1 Hz base is solved when it comes."""
+    pairing = Pairing(PairingOptions(replay=True))
+    for k in range(61):
+        pairing.add_base(epoch_at(float(k)), 0.0)
+    pairing.add_rover(epoch_at(60.2), 0.0)
+    pairing.add_rover(epoch_at(61.0), 0.0)
+    pair = pairing.next_pair(0.0)
+    assert pair is not None
+    assert pair.base is not None
+    assert (pair.rover.time - START, pair.base.time - START) == (pytest.approx(60.2), 60.0)
+    assert pairing.next_pair(0.0) is None, "its own base epoch is due"
 
 
 def test_replayed_rover_epochs_are_never_dropped() -> None:

@@ -4,10 +4,12 @@ Epochs are paired by their time tags. A rover epoch waits for the base epoch tha
 
 * Live, the deadline is a clock that the caller passes in. The base's cadence is learned, so that a 10 Hz rover does not wait for
   epochs that a 1 Hz base never sends; whether the base's stream reorders is learned too.
-* In replay the clock is the base log's own: a rover epoch is given up when the base has passed it by ``maximum_wait_s``.
-  The result then depends on the two streams alone, never on how they were interleaved.
+* In replay the clock is the base log's own: a rover epoch is given up at the first base epoch that, in a log that has kept its order
+  and by its cadence so far, leaves nothing to wait for, at the latest when the base has passed it by ``maximum_wait_s``. The result
+  then depends on the two streams alone, never on how they were interleaved.
 
-A base epoch of the future is never used, an epoch that comes twice counts once, and rover epochs leave in rising time order.
+A base epoch of the future is used in replay alone, and only where none of the past will do: at the start of a base's log, and after its
+long gaps. An epoch that comes twice counts once, and rover epochs leave in rising time order.
 """
 
 from bisect import bisect_left, insort
@@ -34,8 +36,8 @@ class PairingOptions:
 
     ``tolerance_s``: largest difference of tags of one epoch (receiver clock steering); ``maximum_wait_s``: how long a rover
     epoch waits; ``matched_only``: never use another base epoch than the matching one; ``silent_s``: a base that sent nothing for so
-    long is not waited for; ``has_base``: False in mode single; ``replay``: the deadline clock is the base log's;
-    ``capacity``: rover epochs that may wait (live: the oldest is dropped and counted beyond that).
+    long is not waited for, and an epoch so old is of no use; ``has_base``: False in mode single; ``replay``: the deadline clock is the
+    base log's; ``capacity``: rover epochs that may wait (live: the oldest is dropped and counted beyond that).
     """
 
     tolerance_s: float = 0.025
@@ -82,6 +84,7 @@ class _Base:
     epoch: Epoch
     order: int
     arrived_s: float
+    interval_s: float = -inf  # the log's cadence when this epoch came; -inf while the log was not known to keep its order
 
     def __lt__(self, other: "_Base") -> bool:
         return self.epoch.time < other.epoch.time
@@ -147,6 +150,8 @@ class Pairing:
             if self._orderly >= _ORDERLY_EPOCHS:
                 self._reorder_wait_s = _ORDERLY_REORDER_WAIT_S
         insort(self._bases, base)
+        if self._orderly >= _ORDERLY_EPOCHS:
+            base.interval_s = self._interval_s()
         if len(self._bases) > _KEPT_BASES and not self.options.replay:
             del self._bases[0]
 
@@ -198,7 +203,14 @@ class Pairing:
         over = (self._base_ended or cut < inf) if options.replay else self._given_up(waiting, now_s)
         if not over:
             return False, None
-        return True, None if options.matched_only else self._newest_before(time, cut)
+        return True, None if options.matched_only else self._other(time, cut)
+
+    def _other(self, time: GpsTime, cut: float) -> Epoch | None:
+        """Return the base epoch that serves where none matches."""
+        before = self._newest_before(time, cut)
+        if not self.options.replay or (before is not None and time - before.time <= self.options.silent_s):
+            return before
+        return self._oldest_after(time, cut) or before
 
     def _given_up(self, waiting: _Waiting, now_s: float) -> bool:
         """Live: is there nothing more to wait for? Ends of streams, deadline, cadence and silence of the base decide."""
@@ -219,16 +231,25 @@ class Pairing:
 
     def _expected(self, time: GpsTime) -> GpsTime | None:
         """Return the newest epoch that the base's cadence promises up to ``time``; None while the cadence is not known."""
-        gaps = [b.epoch.time - a.epoch.time for a, b in pairwise(self._bases[-_CADENCE_GAPS - 1 :])]
-        if len(gaps) < 2:
+        interval = self._interval_s()
+        if interval == -inf:
             return None
-        interval, newest = min(gaps), self._bases[-1].epoch.time
+        newest = self._bases[-1].epoch.time
         return newest + floor((time - newest + self.options.tolerance_s) / interval) * interval
+
+    def _interval_s(self) -> float:
+        """Return the base's cadence: the smallest of its newest gaps; -inf while it is not known."""
+        gaps = [b.epoch.time - a.epoch.time for a, b in pairwise(self._bases[-_CADENCE_GAPS - 1 :])]
+        return min(gaps) if len(gaps) > 1 else -inf
 
     def _cut(self, time: GpsTime) -> float:
         """Return the stream order of the first base epoch that ends the wait for ``time`` on the log's clock; inf if none yet."""
-        limit = time + self.options.maximum_wait_s
-        return min((base.order for base in reversed(self._bases) if base.epoch.time >= limit), default=inf)
+        return min((base.order for base in reversed(self._bases) if self._ends_wait(base, time)), default=inf)
+
+    def _ends_wait(self, base: _Base, time: GpsTime) -> bool:
+        """Replay: whether at this base epoch nothing was left to wait for: a function of the base's log up to it."""
+        passed_s = base.epoch.time - time
+        return passed_s >= self.options.maximum_wait_s or passed_s > self.options.tolerance_s - base.interval_s
 
     def _match(self, time: GpsTime, cut: float) -> Epoch | None:
         """Return the base epoch whose tag is nearest to ``time`` within the tolerance, among those up to ``cut`` in the stream."""
@@ -244,6 +265,9 @@ class Pairing:
     def _newest_before(self, time: GpsTime, cut: float) -> Epoch | None:
         limit = time + self.options.tolerance_s
         return next((base.epoch for base in reversed(self._bases) if base.epoch.time <= limit and base.order <= cut), None)
+
+    def _oldest_after(self, time: GpsTime, cut: float) -> Epoch | None:
+        return next((base.epoch for base in self._bases if base.epoch.time > time and base.order <= cut), None)
 
     def _first_newer(self, time: GpsTime) -> _Base | None:
         """Return the base epoch beyond ``time`` that arrived first."""
