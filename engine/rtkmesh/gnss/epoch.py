@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,24 @@ COLUMNS: Final = (
 )
 
 
+class Signals(NamedTuple):
+    """The columns of an epoch as kernels take them, with its time tag (GPST week and seconds of week)."""
+
+    week: int
+    tow_s: float
+    satellite: NDArray[np.int16]
+    signal: NDArray[np.int16]
+    channel: NDArray[np.int8]
+    flags: NDArray[np.uint8]
+    pseudorange_m: NDArray[np.float64]
+    phase_cyc: NDArray[np.float64]
+    doppler_hz: NDArray[np.float64]
+    cn0_dbhz: NDArray[np.float64]
+    lock_s: NDArray[np.float64]
+    pseudorange_sigma_m: NDArray[np.float64]
+    phase_sigma_cyc: NDArray[np.float64]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Epoch:
     """One epoch of one receiver: one row per satellite and signal, sorted by (satellite, signal), no row twice.
@@ -55,6 +73,14 @@ class Epoch:
 
     def __len__(self) -> int:
         return len(self.satellite)
+
+    @property
+    def signals(self) -> Signals:
+        """What kernels take."""
+        return Signals(
+            self.time.week, self.time.tow_s, self.satellite, self.signal, self.channel, self.flags, self.pseudorange_m, self.phase_cyc,
+            self.doppler_hz, self.cn0_dbhz, self.lock_s, self.pseudorange_sigma_m, self.phase_sigma_cyc,
+        )  # fmt: skip
 
     def rows(self) -> Iterator[tuple[str, str, float, float, float, float]]:
         """Yield (satellite id, signal code, pseudorange m, phase cycles, Doppler Hz, C/N0 dB-Hz) for people and tests."""

@@ -6,7 +6,7 @@ ephemerides, never on the order in which they came; every issue is range-checked
 
 from collections import Counter
 from math import isfinite
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,15 @@ _FNAV: Final = 2.0  # NavigationMessage.FNAV as a row holds it
 _TOE_S, _SENT_S, _WIDTH_S, _UNHEALTHY = range(4)  # columns of the table's keys; times in seconds since 1980-01-06
 
 Row = NDArray[np.float64]
+
+
+class Issues(NamedTuple):
+    """All known issues as kernels take them: rows and keys per satellite number, how many there are, GLONASS channels."""
+
+    rows: NDArray[np.float64]
+    keys: NDArray[np.float64]
+    count: NDArray[np.int64]
+    channel: NDArray[np.int8]
 
 
 class EphemerisTable:
@@ -76,8 +85,13 @@ class EphemerisTable:
         Where there is none, or the satellite's latest word before ``time`` is that it is unhealthy, KIND is 0 and the rest NaN.
         """
         out = np.empty((len(satellites), ROW))
-        _select(self._rows, self._keys, self._count, satellites, _seconds(time), include_unhealthy, out)
+        select_issues(self.issues, satellites, _seconds(time), include_unhealthy, out)
         return out
+
+    @property
+    def issues(self) -> Issues:
+        """What kernels take; not to be written to."""
+        return Issues(self._rows, self._keys, self._count, self._channel)
 
     def channel(self, satellite: int) -> int:
         """Return the GLONASS frequency channel that the latest issue says, or NO_CHANNEL."""
@@ -204,23 +218,17 @@ def _seconds(time: GpsTime) -> float:
 
 
 @kernel
-def _select(
-    rows: NDArray[np.float64],
-    keys: NDArray[np.float64],
-    count: NDArray[np.int64],
-    satellites: NDArray[np.int16],
-    time_s: float,
-    include_unhealthy: bool,
-    out: NDArray[np.float64],
-) -> None:
+def select_issues(issues: Issues, satellites: NDArray[np.int16], time_s: float, include_unhealthy: bool, out: NDArray[np.float64]) -> None:
+    """Write one row (n, ROW) per satellite as ``EphemerisTable.select`` says; ``time_s`` counts from the start of GPS time."""
     for i in range(len(satellites)):
         satellite, best = int(satellites[i]), -1
-        if 0 <= satellite < len(count):
-            best = _best_issue(rows[satellite], keys[satellite], int(count[satellite]), time_s)
-        if best >= 0 and not include_unhealthy and _withdrawn(keys[satellite], int(count[satellite]), best, time_s):
-            best = -1
+        if 0 <= satellite < len(issues.count):
+            keys, count = issues.keys[satellite], int(issues.count[satellite])
+            best = _best_issue(issues.rows[satellite], keys, count, time_s)
+            if best >= 0 and not include_unhealthy and _withdrawn(keys, count, best, time_s):
+                best = -1
         for k in range(out.shape[1]):
-            out[i, k] = rows[satellite, best, k] if best >= 0 else np.nan
+            out[i, k] = issues.rows[satellite, best, k] if best >= 0 else np.nan
         if best < 0:
             out[i, 0] = 0.0
 

@@ -4,17 +4,20 @@ from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from functools import lru_cache
 from math import nan, radians
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.ephemeris import KlobucharParameters
-from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.epoch import Epoch, Signals
 from rtkmesh.gnss.signals import MAX_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.code_selection import (
+    CLOCK_OF_SYSTEM,
     CLOCKS,
     RATE_RESIDUAL,
     RATE_USED,
@@ -25,10 +28,10 @@ from rtkmesh.models.code_selection import (
     clocks_by_system,
     fill_work,
 )
-from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.models.ephemeris_table import ROW, EphemerisTable, Issues, select_issues
 from rtkmesh.models.geometry import AZIMUTH, ELEVATION, GEOMETRY
 from rtkmesh.models.orbit import STATE, STATE_OK, satellite_states
-from rtkmesh.models.single_adjustment import CONVERGED, QUALITY, UNKNOWNS, adjust_position, adjust_velocity
+from rtkmesh.models.single_adjustment import CONVERGED, FEW_SATELLITES, NO_EPHEMERIS, QUALITY, UNKNOWNS, adjust_position, adjust_velocity
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -118,45 +121,26 @@ def single_point(
 ) -> SinglePoint:
     """Return the single-point solution of an epoch; without ``initial_ecef_m`` the iteration starts at the earth's centre."""
     options = options or SinglePointOptions()
-    chosen = _choose(epoch, options)
-    count, satellites = len(chosen), epoch.satellite[chosen[:, 0]]
-    rows = table.select(satellites, epoch.time)
-    work, states, geometry = np.zeros((count, WORK)), np.empty((count, STATE)), np.empty((count, GEOMETRY))
-    fill_work(
-        rows, epoch.satellite, epoch.signal, epoch.channel, epoch.pseudorange_m, epoch.doppler_hz, epoch.cn0_dbhz,
-        epoch.pseudorange_sigma_m, chosen, options.ionosphere is IonosphereModel.FREE, work,
-    )  # fmt: skip
-    valid = satellite_states(rows, epoch.time.week, epoch.time.tow_s, epoch.pseudorange_m[chosen[:, 0]], states)
-    if valid < 4:
-        status = SingleStatus.NO_EPHEMERIS if count >= 4 else SingleStatus.FEW_SATELLITES
-        return _without_position(epoch.time, status, satellites)
-    position = np.zeros(3) if initial_ecef_m is None or not np.isfinite(initial_ecef_m).all() else np.array(initial_ecef_m, np.float64)
-    clocks_m, cofactor, quality = np.zeros(CLOCKS), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(QUALITY)
-    setup = _setup(options)
-    status = adjust_position(
-        work, states, geometry, epoch.time.week, epoch.time.tow_s, klobuchar_vector(options.klobuchar), setup, position, clocks_m,
-        cofactor, quality,
-    )  # fmt: skip
-    if status != CONVERGED:
-        return _without_position(epoch.time, SingleStatus(status), satellites)
-    velocity, rate_covariance = np.zeros(4), np.empty((4, 4))
-    if adjust_velocity(work, states, geometry, setup, position, velocity, rate_covariance) != CONVERGED:
-        velocity[:], rate_covariance[:] = nan, nan
+    start = np.zeros(3) if initial_ecef_m is None else np.array(initial_ecef_m, np.float64)
+    found = locate(epoch.signals, table.issues, point_setup(options), start)
+    satellites = found.satellites
+    if found.status != CONVERGED:
+        return _without_position(epoch.time, SingleStatus(found.status), satellites)
+    work, states, geometry = found.work, found.states, found.geometry
     used = work[:, USED] != 0.0
     seen = (states[:, STATE_OK] != 0.0) & (geometry[:, ELEVATION] >= options.elevation_mask_rad)
     clock_s = np.empty(len(SYSTEMS))
-    receiver_clock_s = clocks_by_system(work, clocks_m, clock_s)
-    scale = max(1.0, quality[0] / quality[1]) if quality[1] > 0.0 else 1.0
+    receiver_clock_s = clocks_by_system(work, found.clocks_m, clock_s)
     return SinglePoint(
         time=epoch.time,
         status=SingleStatus.OK,
-        position_ecef_m=position,
-        position_cov_ecef_m2=scale * cofactor[:3, :3],
+        position_ecef_m=found.position_ecef_m,
+        position_cov_ecef_m2=found.covariance_m2,
         receiver_clock_s=receiver_clock_s,
         clock_s=clock_s,
-        velocity_ecef_mps=velocity[:3],
-        velocity_cov_ecef_m2ps2=rate_covariance[:3, :3],
-        clock_rate=float(velocity[3]) / SPEED_OF_LIGHT_MPS,
+        velocity_ecef_mps=found.velocity_mps[:3],
+        velocity_cov_ecef_m2ps2=found.velocity_cov_m2ps2,
+        clock_rate=float(found.velocity_mps[3]) / SPEED_OF_LIGHT_MPS,
         satellites=satellites,
         used=used,
         azimuth_rad=geometry[:, AZIMUTH].copy(),
@@ -164,18 +148,94 @@ def single_point(
         residual_m=work[:, RESIDUAL].copy(),
         rate_residual_mps=np.where(work[:, RATE_USED] != 0.0, work[:, RATE_RESIDUAL], nan),
         rejected=tuple(satellites[seen & ~used].tolist()),
-        chi_square=float(quality[0]),
-        degrees_of_freedom=int(quality[1]),
-        pdop=float(quality[2]),
+        chi_square=float(found.quality[0]),
+        degrees_of_freedom=int(found.quality[1]),
+        pdop=float(found.quality[2]),
     )
 
 
-def _choose(epoch: Epoch, options: SinglePointOptions) -> NDArray[np.int64]:
-    """Return the rows of the epoch (n, 2) whose codes serve; see ``choose_codes``."""
-    chosen = np.empty((len(epoch), 2), np.int64)
-    allowed = _allowed(options.systems, options.excluded)
-    count = choose_codes(epoch.satellite, epoch.signal, epoch.pseudorange_m, epoch.cn0_dbhz, allowed, options.cn0_mask_dbhz, chosen)
-    return chosen[:count]
+class PointSetup(NamedTuple):
+    """Options of single-point positioning as kernels take them: the vector of ``adjust_position``, satellites by number."""
+
+    adjustment: Vector
+    allowed: NDArray[np.bool_]
+    klobuchar: Vector
+    cn0_mask_dbhz: float
+    free_of_ionosphere: bool
+
+
+def point_setup(options: SinglePointOptions) -> PointSetup:
+    """Return the options for kernels."""
+    return PointSetup(
+        _adjustment(options), _allowed(options.systems, options.excluded), klobuchar_vector(options.klobuchar), options.cn0_mask_dbhz,
+        options.ionosphere is IonosphereModel.FREE,
+    )  # fmt: skip
+
+
+class Located(NamedTuple):
+    """What ``locate`` found; unknown is NaN. ``status`` is of SingleStatus, CONVERGED with a position.
+
+    One row per satellite with a code: ``satellites`` (sorted), ephemeris ``rows``, ``states``, ``geometry``, ``work``. ``velocity_mps``
+    has the clock's rate as fourth; ``quality`` is chi-square, degrees of freedom, PDOP.
+    """
+
+    status: int
+    position_ecef_m: Vector
+    covariance_m2: Matrix
+    clocks_m: Vector
+    velocity_mps: Vector
+    velocity_cov_m2ps2: Matrix
+    quality: Vector
+    satellites: NDArray[np.int16]
+    rows: Matrix
+    states: Matrix
+    geometry: Matrix
+    work: Matrix
+
+
+@kernel
+def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Vector) -> Located:
+    """Find position and velocity from codes and Dopplers; the iteration starts at ``start_ecef_m`` (not finite: the earth's centre)."""
+    chosen = np.empty((len(signals.satellite), 2), np.int64)
+    count = choose_codes(
+        signals.satellite, signals.signal, signals.pseudorange_m, signals.cn0_dbhz, setup.allowed, setup.cn0_mask_dbhz, chosen
+    )
+    satellites, codes_m = np.empty(count, np.int16), np.empty(count)
+    for k in range(count):
+        satellites[k], codes_m[k] = signals.satellite[chosen[k, 0]], signals.pseudorange_m[chosen[k, 0]]
+    rows, states, geometry = np.empty((count, ROW)), np.empty((count, STATE)), np.empty((count, GEOMETRY))
+    work = np.zeros((count, WORK))
+    select_issues(issues, satellites, signals.week * SECONDS_PER_WEEK + signals.tow_s, False, rows)
+    fill_work(
+        rows, signals.satellite, signals.signal, signals.channel, signals.pseudorange_m, signals.doppler_hz, signals.cn0_dbhz,
+        signals.pseudorange_sigma_m, chosen[:count], setup.free_of_ionosphere, work,
+    )  # fmt: skip
+    position, clocks_m, cofactor, quality = start_ecef_m.copy(), np.zeros(CLOCKS), np.empty((UNKNOWNS, UNKNOWNS)), np.full(QUALITY, np.nan)
+    velocity, rate_cofactor = np.full(4, np.nan), np.full((4, 4), np.nan)
+    if not np.isfinite(position[0] + position[1] + position[2]):
+        position[:] = 0.0
+    if satellite_states(rows, signals.week, signals.tow_s, codes_m, states) < 4:
+        status = NO_EPHEMERIS if count >= 4 else FEW_SATELLITES
+    else:
+        status = adjust_position(
+            work, states, geometry, signals.week, signals.tow_s, setup.klobuchar, setup.adjustment, position, clocks_m, cofactor, quality
+        )
+    if status != CONVERGED:
+        position[:], cofactor[:, :], geometry[:, :] = np.nan, np.nan, np.nan
+    elif adjust_velocity(work, states, geometry, setup.adjustment, position, velocity, rate_cofactor) != CONVERGED:
+        velocity[:], rate_cofactor[:, :] = np.nan, np.nan
+    scale = max(1.0, quality[0] / quality[1]) if quality[1] > 0.0 else 1.0
+    return Located(
+        status, position, scale * cofactor[:3, :3], clocks_m, velocity, rate_cofactor[:3, :3].copy(), quality, satellites, rows, states,
+        geometry, work,
+    )  # fmt: skip
+
+
+@kernel
+def receiver_clock_s(located: Located) -> float:
+    """Return the receiver clock (s) of the first system in use, GPS first; NaN without a position."""
+    spare = np.empty(len(CLOCK_OF_SYSTEM))
+    return clocks_by_system(located.work, located.clocks_m, spare) if located.status == CONVERGED else np.nan
 
 
 @lru_cache(maxsize=64)
@@ -191,7 +251,7 @@ def _allowed(systems: str, excluded: tuple[str, ...]) -> NDArray[np.bool_]:
 
 
 @lru_cache(maxsize=64)
-def _setup(options: SinglePointOptions) -> Vector:
+def _adjustment(options: SinglePointOptions) -> Vector:
     modelled = float(options.ionosphere is not IonosphereModel.OFF)
     return np.array((
         options.elevation_mask_rad, options.code_a_m, options.code_b_m, modelled, float(options.troposphere), options.maximum_pdop,

@@ -4,8 +4,8 @@ Double differences are formed here and nowhere else, within one clock group each
 not matter to any result.
 """
 
-from math import isfinite, log
-from typing import Final
+from math import isfinite, log, sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,46 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.rtk.filter import factor
 from rtkmesh.rtk.lambda_search import OK, bootstrap_success, integer_least_squares
+from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 NODE_LIMIT: Final = 50_000  # some 5 ms; a search that needs more has no clear winner
+CONSTRAINED_CANDIDATES: Final = 40  # how many candidates a known length chooses from
 PRIOR_DOF: Final = 4.0  # how well the variance level is known before the norms are seen: see log_odds
 
 
+class Candidates(NamedTuple):
+    """Ambiguities of an epoch that may become integers; all columns go together, sorted by satellite.
+
+    ``row`` is the place in the filter's keys, ``group`` the clock group, ``weight`` says which makes the better reference.
+    """
+
+    row: Indices
+    group: Indices
+    satellite: Indices
+    weight: Vector
+
+
+class Search(NamedTuple):
+    """Result of one free search: (state, reference) pairs, their integers, and how sure they are.
+
+    ``values`` goes with the filter's keys: the integers with that of each group's reference set to 0, NaN for keys not in the search.
+    """
+
+    pairs: Indices
+    integers: Vector
+    values: Vector
+    norm: float
+    second: float
+    success: float
+    odds: float
+    resolved: bool
+
+
+@kernel
 def log_odds(best: float, other: float, count: int) -> float:
     """Return the natural logarithm of the odds of the best integer vector (squared norm ``best``) against another.
 
@@ -31,6 +62,85 @@ def log_odds(best: float, other: float, count: int) -> float:
     confidence.
     """
     return 0.5 * (PRIOR_DOF + count) * log((PRIOR_DOF + other) / (PRIOR_DOF + best))
+
+
+@kernel
+def take(candidates: Candidates, mask: NDArray[np.bool_]) -> Candidates:
+    """Return those of the mask."""
+    n = len(mask)
+    kept, count = np.empty(n, np.int64), 0
+    for k in range(n):
+        if mask[k]:
+            kept[count] = k
+            count += 1
+    row, group, satellite, weight = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count)
+    for i in range(count):
+        k = kept[i]
+        row[i], group[i], satellite[i], weight[i] = candidates.row[k], candidates.group[k], candidates.satellite[k], candidates.weight[k]
+    return Candidates(row, group, satellite, weight)
+
+
+@kernel
+def pairs_of(candidates: Candidates) -> Indices:
+    """Return (state, reference) of all double differences that the candidates form."""
+    n = len(candidates.row)
+    states, out = np.empty(n, np.int64), np.empty((n, 2), np.int64)
+    for k in range(n):
+        states[k] = candidates.row[k] + DYNAMIC
+    return out[: choose_references(states, candidates.group, candidates.weight, out)]
+
+
+@kernel
+def search(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: float) -> Search:
+    """Search the integers of all double differences of the candidates.
+
+    A baseline of known length (NaN: unknown) chooses among CONSTRAINED_CANDIDATES of the search.
+    """
+    pairs, values = pairs_of(candidates), np.full(len(f.keys), np.nan)
+    n, constrained = len(pairs), isfinite(length_m)
+    count = CONSTRAINED_CANDIDATES if constrained else 2
+    fixed, norms = np.zeros((count, n)), np.zeros(count)
+    if n == 0:
+        return Search(pairs, fixed[0], values, np.inf, np.inf, 0.0, -np.inf, False)
+    status, success = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)
+    if status != OK:
+        return Search(pairs, fixed[0], values, np.inf, np.inf, success, -np.inf, False)
+    first, second = 0, 1
+    if constrained:
+        for k in range(count):
+            norms[k] += length_norm(f, pairs, fixed[k], length_m, length_sigma_m)
+        first, second = _two_least(norms)
+    for k in range(n):
+        values[pairs[k, 1] - DYNAMIC], values[pairs[k, 0] - DYNAMIC] = 0.0, fixed[first, k]
+    odds = log_odds(norms[first], norms[second], n)
+    return Search(pairs, fixed[first].copy(), values, norms[first], norms[second], success, odds, True)
+
+
+@kernel
+def _two_least(values: Vector) -> tuple[int, int]:
+    """Return the places of the two smallest values, of equal ones the first."""
+    first, second = 0, 1
+    if values[1] < values[0]:
+        first, second = 1, 0
+    for k in range(2, len(values)):
+        if values[k] < values[first]:
+            first, second = k, first
+        elif values[k] < values[second]:
+            second = k
+    return first, second
+
+
+@kernel
+def length_norm(f: Filter, pairs: Indices, integers: Vector, length_m: float, sigma_m: float) -> float:
+    """Return the squared misfit of the baseline's length given these integers, in sigmas of length and baseline together."""
+    x, P, wanted = np.empty(3), np.empty((3, 3)), np.arange(3)
+    condition(f.x, f.P, pairs, integers, 0.0, wanted, x, P)
+    length = sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+    variance = sigma_m * sigma_m
+    for i in range(3):
+        for j in range(3):
+            variance += x[i] * P[i, j] * x[j] / max(length * length, 1e-12)
+    return (length - length_m) ** 2 / variance
 
 
 @kernel
@@ -159,11 +269,11 @@ def pack_pairs(pairs: Indices, wanted: Indices) -> int:
 
 
 @kernel
-def held_differences(history: Matrix, column: int, pairs: Indices, dynamic: int) -> Vector:
-    """Return the held integers (a column of the history) of (state, reference) pairs."""
+def held_differences(f: Filter, pairs: Indices) -> Vector:
+    """Return the held integers of (state, reference) pairs."""
     out = np.empty(len(pairs))
     for k in range(len(pairs)):
-        out[k] = history[pairs[k, 0] - dynamic, column] - history[pairs[k, 1] - dynamic, column]
+        out[k] = f.history[pairs[k, 0] - DYNAMIC, INTEGER] - f.history[pairs[k, 1] - DYNAMIC, INTEGER]
     return out
 
 

@@ -1,22 +1,25 @@
 """What an epoch does to the keyed states: which are wanted, where they are, how they begin, slip, grow and are remembered."""
 
 from math import isfinite, nan
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.gnss.signals import BEIDOU, GLONASS, SBAS
-from rtkmesh.rtk.filter import reset_state
-from rtkmesh.rtk.residuals import BASE_PHASE, CHANNEL, CODE, ELEVATION_RAD, PHASE, ROVER_PHASE, WAVELENGTH
-from rtkmesh.rtk.slips import KNOWN_SLIP, NO_SLIP
+from rtkmesh.rtk.ambiguity import Candidates
+from rtkmesh.rtk.filter import predict_motion, reset_state
+from rtkmesh.rtk.residuals import BASE_PHASE, CHANNEL, CODE, ELEVATION_RAD, PHASE, ROVER_PHASE, WAVELENGTH, Differences
+from rtkmesh.rtk.slips import KNOWN_SLIP, NO_SLIP, SlipSetup, find_slips
 from rtkmesh.rtk.state import (
     ARC_EPOCHS,
     ARC_S,
     BASE_LOCK_S,
     BASE_M,
     BASE_S,
+    DYNAMIC,
     FIRST_PAIR_KEY,
     INTEGER,
     ISSUE,
@@ -28,7 +31,11 @@ from rtkmesh.rtk.state import (
     SLIPS,
     SLOPE_KEY,
     ZENITH_KEY,
+    Filter,
+    place_of,
+    use_keys,
 )  # fmt: skip
+from rtkmesh.rtk.update import Layout
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -37,6 +44,22 @@ Indices = NDArray[np.int64]
 _AMBIGUITY_VARIANCE_CYC2: Final = 100.0**2
 _GLONASS_VARIANCE_CYC2: Final = 20.0**2  # wavelengths differ by channel: the common part must be known to some metres
 _KNOWN_SLIP_VARIANCE_CYC2: Final = 0.2**2
+
+
+class Walks(NamedTuple):
+    """Random walks of the keyed states and how new shared ones begin (all in their units, walks per square root of second).
+
+    ``slope`` is value and sigma of a new GLONASS slope; ``code_memory_s`` the correlation time of code multipath.
+    """
+
+    ambiguity_cyc: float
+    ionosphere_m: float
+    ionosphere_sigma_m: float
+    zenith_m: float
+    zenith_sigma_m: float
+    slope_m: float
+    slope: tuple[float, float]
+    code_memory_s: float
 
 
 @kernel
@@ -52,33 +75,56 @@ def is_finite(x: Vector, P: Matrix) -> bool:
 
 
 @kernel
-def grow(P: Matrix, keys: Indices, dynamic: int, ambiguity: float, ionosphere: float, zenith: float, slope: float) -> None:
-    """Add to the variances of the keyed states what their random walks add in this step."""
-    for k in range(len(keys)):
-        walk = ionosphere
-        if keys[k] >= FIRST_PAIR_KEY:
-            walk = ambiguity
-        elif keys[k] == ZENITH_KEY:
-            walk = zenith
-        elif keys[k] == SLOPE_KEY:
-            walk = slope
-        P[dynamic + k, dynamic + k] += walk
+def seed(f: Filter, baseline_ecef_m: Vector, sigmas: Vector) -> None:
+    """Begin the dynamic states anew with these sigmas of position, velocity and acceleration; the keyed states stay."""
+    for i in range(DYNAMIC):
+        reset_state(f.x, f.P, i, baseline_ecef_m[i] if i < 3 else 0.0, sigmas[i // 3] ** 2)
 
 
 @kernel
-def wanted_keys(pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, phases: bool, atmosphere: bool) -> Indices:
+def move(f: Filter, dt_s: float, decay_s: float, base_ecef_m: Vector, horizontal_mps2: float, vertical_mps2: float, sigmas: Vector) -> None:
+    """Move the dynamic states on, driven by jerk of this density in the horizontal and the vertical; what stood until now begins to move
+    with these ``sigmas``.
+    """
+    if f.P[3, 3] < 1e-9:
+        for i in range(3, DYNAMIC):
+            reset_state(f.x, f.P, i, 0.0, sigmas[i // 3] ** 2)
+    geodetic = geodetic_from_ecef(base_ecef_m + f.x[:3])
+    turn, Q = enu_from_ecef(geodetic[0], geodetic[1]), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            Q[i, j] = horizontal_mps2**2 * (turn[0, i] * turn[0, j] + turn[1, i] * turn[1, j]) + vertical_mps2**2 * turn[2, i] * turn[2, j]
+    predict_motion(f.x, f.P, dt_s, decay_s, Q)
+
+
+@kernel
+def grow(P: Matrix, keys: Indices, dynamic: int, walks: Walks, dt_s: float) -> None:
+    """Add to the variances of the keyed states what their random walks add in this step."""
+    for k in range(len(keys)):
+        walk = walks.ionosphere_m
+        if keys[k] >= FIRST_PAIR_KEY:
+            walk = walks.ambiguity_cyc
+        elif keys[k] == ZENITH_KEY:
+            walk = walks.zenith_m
+        elif keys[k] == SLOPE_KEY:
+            walk = walks.slope_m
+        P[dynamic + k, dynamic + k] += walk * walk * dt_s
+
+
+@kernel
+def wanted_keys(pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, phases: bool, atmosphere: int) -> Indices:
     """Return the sorted keys of the states that these pairs need.
 
-    They are an ambiguity per phase (if ``phases``), the GLONASS slope where channels differ, and with ``atmosphere`` the zenith delay
-    and an ionosphere per satellite with a code.
+    They are an ambiguity per phase (if ``phases``), the GLONASS slope where channels differ, the zenith delay where ``atmosphere`` is 1,
+    and with 2 an ionosphere per satellite with a code too.
     """
     n = len(pair_key)
     keys, count = np.empty(2 * n + 2, np.int64), 0
     sloped = False
-    if atmosphere:
+    if atmosphere > 0:
         count = _insert(keys, count, ZENITH_KEY)
     for k in range(n):
-        if atmosphere and isfinite(table[k, CODE]):
+        if atmosphere == 2 and isfinite(table[k, CODE]):
             count = _insert(keys, count, int(satellite[k]))
         if phases and isfinite(table[k, PHASE]):
             count = _insert(keys, count, pair_key[k])
@@ -100,19 +146,6 @@ def _insert(keys: Indices, count: int, key: int) -> int:
         keys[i] = keys[i - 1]
     keys[place] = key
     return count + 1
-
-
-@kernel
-def place_of(keys: Indices, key: int) -> int:
-    """Return where a key is in the sorted keys, -1 if it is not there."""
-    low, high = 0, len(keys)
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low if low < len(keys) and keys[low] == key else -1
 
 
 @kernel
@@ -168,48 +201,43 @@ def begin_ambiguities(
 
 
 @kernel
-def remember(
-    history: Matrix,
-    place: Indices,
-    table: Matrix,
-    base_s: Vector,
-    lock_s: Matrix,
-    issue: Vector,
-    phase_used: NDArray[np.bool_],
-    time_s: float,
-) -> None:
+def remember(f: Filter, d: Differences, layout: Layout, phase_used: NDArray[np.bool_], time_s: float) -> None:
     """Write what the next epoch must know of the phases of this one."""
-    for k in range(len(place)):
-        if place[k] < 0:
+    for k in range(len(layout.ambiguity)):
+        if layout.ambiguity[k] < 0:
             continue
-        row = history[place[k]]
-        row[SEEN_S], row[ROVER_S], row[BASE_S] = time_s, time_s, base_s[k]
-        row[ROVER_M], row[BASE_M] = table[k, ROVER_PHASE], table[k, BASE_PHASE]
-        row[ROVER_LOCK_S], row[BASE_LOCK_S] = lock_s[k, 0], lock_s[k, 1]
-        row[ISSUE] = issue[k]
+        row = f.history[layout.ambiguity[k]]
+        row[SEEN_S], row[ROVER_S], row[BASE_S] = time_s, time_s, d.base_s[k]
+        row[ROVER_M], row[BASE_M] = d.table[k, ROVER_PHASE], d.table[k, BASE_PHASE]
+        row[ROVER_LOCK_S], row[BASE_LOCK_S] = d.lock_s[k, 0], d.lock_s[k, 1]
+        row[ISSUE] = d.issue[k]
         row[ARC_EPOCHS] += 1.0
         row[REJECTS] = 0.0 if phase_used[k] else row[REJECTS] + 1.0
 
 
 @kernel
-def candidate_pairs(
-    history: Matrix, place: Indices, satellite: NDArray[np.int16], table: Matrix, phase_used: NDArray[np.bool_], mask_rad: float,
-    least_epochs: float, out: Indices,
-) -> int:  # fmt: skip
-    """Write the pairs whose ambiguities may become integers; return how many.
+def find_candidates(
+    f: Filter, d: Differences, layout: Layout, phase_used: NDArray[np.bool_], mask_rad: float, least_epochs: float
+) -> Candidates:
+    """Return the ambiguities of this epoch that may become integers.
 
-    Geostationary BeiDou satellites and SBAS are none: their multipath does not average out.
+    Geostationary BeiDou satellites and SBAS have none: their multipath does not average out.
     """
-    count = 0
-    for k in range(len(place)):
-        system, number = int(satellite[k]) // 64, int(satellite[k]) % 64
+    chosen, count = np.empty(len(layout.ambiguity), np.int64), 0
+    for k in range(len(chosen)):
+        system, number = int(d.pairs.satellite[k]) // 64, int(d.pairs.satellite[k]) % 64
         if system == SBAS or (system == BEIDOU and (number <= 5 or number >= 59)):
             continue
-        usable = phase_used[k] and place[k] >= 0 and table[k, ELEVATION_RAD] >= mask_rad
-        if usable and history[place[k], ARC_EPOCHS] > least_epochs:
-            out[count] = k
+        usable = phase_used[k] and layout.ambiguity[k] >= 0 and d.table[k, ELEVATION_RAD] >= mask_rad
+        if usable and f.history[layout.ambiguity[k], ARC_EPOCHS] > least_epochs:
+            chosen[count] = k
             count += 1
-    return count
+    row, group, satellite, weight = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count)
+    for i in range(count):
+        k = chosen[i]
+        row[i], group[i], satellite[i] = layout.ambiguity[k], d.pairs.group[k], d.pairs.satellite[k]
+        weight[i] = d.table[k, ELEVATION_RAD]
+    return Candidates(row, group, satellite, weight)
 
 
 @kernel
@@ -219,3 +247,53 @@ def systems_of(satellite: NDArray[np.int16]) -> int:
     for k in range(len(satellite)):
         bits |= 1 << (int(satellite[k]) // 64)
     return bits
+
+
+class Arranged(NamedTuple):
+    """A filter laid out for an epoch: its places, and the rover's motion (m) against its models by time differences of the phases."""
+
+    filter: Filter
+    layout: Layout
+    redundancy: int
+    motion_m: Vector
+    motion_cov_m2: Matrix
+
+
+@kernel
+def lay_out(before: Filter, d: Differences, times_s: Vector, slips: SlipSetup, walks: Walks, phases: bool, atmosphere: int) -> Arranged:
+    """Give every pair its states; deal with slips; begin new states.
+
+    ``times_s`` are those of ``find_slips``; ``atmosphere`` 0: none, 1: the zenith delay is a state, 2: the ionosphere per satellite too.
+    """
+    n, dt = len(d.pairs.satellite), times_s[0] - times_s[2]
+    known_step = isfinite(dt)
+    wanted = wanted_keys(d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere)
+    f = use_keys(before, wanted, times_s[0], max(slips.maximum_gap_s, 2.5 * dt if known_step else 0.0))
+    ambiguity, ionosphere, inflation = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
+    find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere == 2, ambiguity, ionosphere)
+    begin_shared(f, walks, times_s[0])
+    slip, jump, motion, motion_cov = np.zeros(n, np.int64), np.zeros(n), np.zeros(3), np.zeros((3, 3))
+    redundancy = find_slips(d, f.history, ambiguity, times_s, slips, slip, jump, motion, motion_cov)
+    apply_slips(f.x, f.P, f.history, ambiguity, slip, jump, DYNAMIC, times_s[0])
+    memory = max(1.0, 2.0 * walks.code_memory_s / max(dt, 1e-3)) if known_step else 1.0
+    begin_ambiguities(f.x, f.P, f.history, ambiguity, d.pairs.satellite, d.table, DYNAMIC, times_s[0], memory, inflation)
+    zenith, slope = place_of(f.keys, ZENITH_KEY), place_of(f.keys, SLOPE_KEY)
+    return Arranged(f, Layout(ambiguity, ionosphere, zenith, slope, inflation), redundancy, motion, motion_cov)
+
+
+@kernel
+def begin_shared(f: Filter, walks: Walks, time_s: float) -> None:
+    """Give a value to new states of the atmosphere and of the GLONASS slope; all of them count as seen."""
+    for i in range(len(f.keys)):
+        if f.keys[i] >= FIRST_PAIR_KEY:
+            return
+        f.history[i, SEEN_S] = time_s
+        if f.history[i, ARC_EPOCHS] >= 0.0:
+            continue
+        value, sigma = 0.0, walks.ionosphere_sigma_m
+        if f.keys[i] == ZENITH_KEY:
+            sigma = walks.zenith_sigma_m
+        elif f.keys[i] == SLOPE_KEY:
+            value, sigma = walks.slope[0], walks.slope[1]
+        reset_state(f.x, f.P, DYNAMIC + i, value, sigma**2)
+        f.history[i, ARC_EPOCHS] = 0.0

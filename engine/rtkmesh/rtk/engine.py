@@ -4,7 +4,7 @@
 """
 
 from dataclasses import replace
-from math import nan, sqrt
+from math import isfinite, nan, sqrt
 from typing import Final
 
 import numpy as np
@@ -12,55 +12,43 @@ from numpy.typing import NDArray
 
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch
-from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
-from rtkmesh.models.atmosphere import klobuchar_vector
-from rtkmesh.models.ephemeris_table import EphemerisTable
-from rtkmesh.models.single import SinglePoint, SinglePointOptions, single_point
-from rtkmesh.rtk.ambiguity import add_constraints
+from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
+from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
+from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import (
-    apply_slips,
-    begin_ambiguities,
-    candidate_pairs,
-    find_places,
+    Arranged,
+    Walks,
+    find_candidates,
     grow,
     is_finite,
-    place_of,
+    lay_out,
+    move,
     remember,
+    seed,
     systems_of,
-    wanted_keys,
 )
-from rtkmesh.rtk.filter import OK, posterior, predict_motion, reset_state
-from rtkmesh.rtk.matching import Matcher, distinct
-from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, CodeScale
+from rtkmesh.rtk.matching import distinct, match, matching_rules
+from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.report import Outcome, from_single, report
-from rtkmesh.rtk.residuals import CODE, ELEVATION_RAD, Conditions, Differences, combine, observe
-from rtkmesh.rtk.slips import find_slips
+from rtkmesh.rtk.residuals import CODE, Conditions, Differences, combine, observe
+from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.solution import Reason, Solution
-from rtkmesh.rtk.state import (
-    ARC_EPOCHS,
-    FIRST_PAIR_KEY,
-    SEEN_S,
-    SLOPE_KEY,
-    ZENITH_KEY,
-    FilterState,
-    length_m,
-    trace,
-)
+from rtkmesh.rtk.state import DYNAMIC, FilterState, length_m, trace
 from rtkmesh.rtk.update import Layout, Update, update
-from rtkmesh.rtk.validation import Candidates, LengthConstraint, Prediction, Resolution, Validation
+from rtkmesh.rtk.validation import SLOPE, SLOPE_SIGMA, Resolution, forget, new_memory, not_resolved, resolve, resolve_setup
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _DECAY_S: Final = 5.0  # accelerations of robots last seconds
 _RESEED_S: Final = 4.0  # beyond this gap the motion model says nothing and the single-point position takes over
 _FORGET_S: Final = 65.0  # beyond this gap nothing is left
-_SEED_SIGMA_M: Final = 30.0
-_SEED_SPEED_MPS: Final = 10.0
-_SEED_ACCELERATION_MPS2: Final = 3.0
+# Sigmas of position (m), velocity (m/s) and acceleration (m/s2) of a new filter: of what moves, stands, and has a known position.
+_SEED_MOVING: Final = np.array((30.0, 10.0, 3.0))
+_SEED_STANDING: Final = np.array((30.0, 1e-6, 1e-6))
+_SEED_FIXED: Final = np.array((1e-4, 1e-6, 1e-6))
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
 # From here on the ionosphere is a state per satellite. Nearer, states cost more than they give: at 35 km 30 against 97 % right fixes.
 _LONG_BASELINE_M: Final = 70e3
@@ -73,6 +61,9 @@ _COMPLEMENT_S: Final = 10.0  # how much older a base epoch may be that gives a s
 _ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
 _ABSURD_EPOCHS: Final = 3
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
+_NOWHERE: Final = np.full(3, nan)
+_UNKNOWN: Final = np.full((3, 3), nan)
+_NO_PREDICTION: Final = np.full(4, nan)
 
 
 class Rtk:
@@ -80,29 +71,32 @@ class Rtk:
 
     def __init__(self, options: RtkOptions) -> None:
         self.options = options
-        self._matcher = Matcher(options.systems, options.frequencies, options.excluded, options.cn0_mask_dbhz)
+        self._rules = matching_rules(options.systems, options.frequencies, options.excluded, options.cn0_mask_dbhz)
         self._state: FilterState | None = None
-        self._scale = CodeScale()
-        constraint = None
-        if options.mode is Mode.MOVING_BASE and options.baseline_length_m is not None:
-            constraint = LengthConstraint(options.baseline_length_m, options.baseline_sigma_m)
-        self._validation = Validation(options.ambiguity, constraint)
-        self._prediction: Prediction | None = None
+        self._scale = new_code_scale()
+        constrained = options.mode is Mode.MOVING_BASE and options.baseline_length_m is not None
+        self._resolve = resolve_setup(options.ambiguity, options.baseline_length_m if constrained else None, options.baseline_sigma_m)
+        self._memory = new_memory()
+        self._prediction = _NO_PREDICTION
         self._resets = 0
         self._absurd = 0
         self._was_fixed = False
         self._base_s = nan
-        self._single: SinglePointOptions | None = None
+        self._klobuchar: KlobucharParameters | None = None
+        self._point = self._point_setup(None)
         slip = options.slip
-        self._slip_setup = np.array((slip.time_difference_cyc, slip.maximum_gap_s, float(options.mode is Mode.MOVING_BASE), 1.0))
+        self._slip = SlipSetup(slip.time_difference_cyc, slip.maximum_gap_s, options.mode is Mode.MOVING_BASE, True)
         self._bases: list[Epoch] = []
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""
         if self._state is not None:
             self._resets += 1
-        self._state, self._prediction = None, None
-        self._validation.reset()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._state, self._prediction = None, _NO_PREDICTION
+        forget(self._memory)
 
     def step(
         self,
@@ -120,22 +114,23 @@ class Rtk:
         changes nothing: a code bias that all channels share is part of the group's clock.
         """
         if self.options.ambiguity.mode is AmbiguityMode.INSTANTANEOUS:
-            self._state, self._prediction = None, None
-            self._validation.reset()
-        single = single_point(rover, ephemerides, self._single_options(klobuchar), self._start())
+            self._forget()
+        if klobuchar is not self._klobuchar:
+            self._klobuchar, self._point = klobuchar, self._point_setup(klobuchar)
+        issues, base_single = ephemerides.issues, None
+        single = locate(rover.signals, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
         if self.options.mode is Mode.SINGLE:
             return from_single(rover, base, single)
-        base_single = None
         if base is not None and self.options.mode is Mode.MOVING_BASE:
-            base_single = single_point(base, ephemerides, self._single_options(klobuchar), base_position_ecef_m)
-            base_position_ecef_m = base_single.position_ecef_m if base_single.ok else None
+            base_single = locate(base.signals, issues, self._point, _NOWHERE if base_position_ecef_m is None else base_position_ecef_m)
+            base_position_ecef_m = base_single.position_ecef_m if base_single.status == CONVERGED else None
         reason = self._obstacle(rover, base, base_position_ecef_m)
         if reason is not Reason.OK or base is None or base_position_ecef_m is None:
             return replace(from_single(rover, base, single), reason=reason)
         state = self._seeded(rover, single, base_position_ecef_m)
         if state is None:
             return from_single(rover, base, single)
-        return self._doubted(self._relative(state, rover, base, ephemerides, klobuchar, (single, base_single)))
+        return self._doubted(self._relative(state, rover, base, issues, (single, base_single)))
 
     def _doubted(self, solution: Solution) -> Solution:
         """Begin anew when the codes contradict the phases' position beyond all multipath, epoch after epoch."""
@@ -148,18 +143,12 @@ class Rtk:
 
     # --- where the filter starts and how it moves on ---
 
-    def _start(self) -> Vector | None:
-        return None if self._state is None else self._state.base_ecef_m + self._state.x[:3]
-
-    def _single_options(self, klobuchar: KlobucharParameters | None) -> SinglePointOptions:
-        o, last = self.options, self._single
-        if last is not None and last.klobuchar is klobuchar:
-            return last
-        self._single = SinglePointOptions(
+    def _point_setup(self, klobuchar: KlobucharParameters | None) -> PointSetup:
+        o = self.options
+        return point_setup(SinglePointOptions(
             systems=o.systems, elevation_mask_rad=min(o.elevation_mask_rad, 0.175), cn0_mask_dbhz=o.cn0_mask_dbhz, klobuchar=klobuchar,
             excluded=o.excluded,
-        )  # fmt: skip
-        return self._single
+        ))  # fmt: skip
 
     def _obstacle(self, rover: Epoch, base: Epoch | None, base_position_ecef_m: Vector | None) -> Reason:
         """Return why there can be no relative solution."""
@@ -168,7 +157,7 @@ class Rtk:
         limit = self.options.time_tolerance_s if self.options.mode is Mode.MOVING_BASE else self.options.max_age_s
         if abs(rover.time - base.time) > limit:
             return Reason.BASE_TOO_OLD
-        if base_position_ecef_m is None or not np.isfinite(base_position_ecef_m).all():
+        if base_position_ecef_m is None or not isfinite(base_position_ecef_m.sum()):
             return Reason.NO_BASE_POSITION
         return Reason.OK
 
@@ -179,103 +168,95 @@ class Rtk:
             return self._was_fixed
         return self.options.mode in (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.DGPS)
 
-    def _seeded(self, rover: Epoch, single: SinglePoint, base_ecef_m: Vector) -> FilterState | None:
+    def _seeded(self, rover: Epoch, single: Located, base_ecef_m: Vector) -> FilterState | None:
         """Return the state at the rover's epoch: moved on, or begun anew; None if there is nothing to begin with."""
         state = self._state
-        if state is not None and not 0.0 <= (rover.time - state.origin) - state.time_s <= _FORGET_S:
-            self.reset()
-        elif state is not None:
-            self._advance(state, rover.time - state.origin, single)
-            if not is_finite(state.x, state.cov) or self._astray(state, single):
+        if state is not None:
+            dt = (rover.time - state.origin) - state.time_s
+            if not 0.0 <= dt <= _FORGET_S:
                 self.reset()
+            else:
+                self._advance(state, dt, single)
+                if not is_finite(state.filter.x, state.filter.P) or self._astray(state, single):
+                    self.reset()
         state = self._state
         if state is None:
-            if not single.ok and self.options.mode is not Mode.FIXED:
+            if single.status != CONVERGED and self.options.mode is not Mode.FIXED:
                 return None
-            state = self._state = FilterState(rover.time, 9, np.zeros(9), np.zeros((9, 9)))
-            state.base_ecef_m = base_ecef_m.copy()
+            state = self._state = FilterState(rover.time, base_ecef_m=base_ecef_m.copy())
             self._seed(state, single)
         shift = base_ecef_m - state.base_ecef_m
         if shift.any():
             if self.options.mode is not Mode.MOVING_BASE:
-                state.x[:3] -= shift
+                state.filter.x[:3] -= shift
             state.base_ecef_m = base_ecef_m.copy()
             state.base_s = nan
         return state
 
-    def _seed(self, state: FilterState, single: SinglePoint) -> None:
+    def _seed(self, state: FilterState, single: Located) -> None:
         """Begin the dynamic states anew from the single-point position; the keyed states stay."""
-        moving = self._moves
         fixed = self.options.fixed_position_ecef_m if self.options.mode is Mode.FIXED else None
         start = single.position_ecef_m if fixed is None else np.array(fixed)
-        for i in range(9):
-            sigma = (_SEED_SIGMA_M, _SEED_SPEED_MPS, _SEED_ACCELERATION_MPS2)[i // 3] if moving or i < 3 else 1e-6
-            reset_state(state.x, state.cov, i, 0.0, sigma**2 if fixed is None or i >= 3 else 1e-8)
-        state.x[:3] = start - state.base_ecef_m
+        sigmas = _SEED_MOVING if self._moves else _SEED_STANDING
+        seed(state.filter, start - state.base_ecef_m, sigmas if fixed is None else _SEED_FIXED)
 
-    def _advance(self, state: FilterState, time_s: float, single: SinglePoint) -> None:
-        """Move the state on to ``time_s``."""
-        dt = time_s - state.time_s
-        state.time_s = time_s
-        if self._moves:
-            if dt > _RESEED_S and single.ok:
-                self._seed(state, single)
-            else:
-                if state.cov[3, 3] < 1e-9:  # static until now
-                    for i in range(3, 9):
-                        reset_state(state.x, state.cov, i, 0.0, (_SEED_SPEED_MPS if i < 6 else _SEED_ACCELERATION_MPS2) ** 2)
-                predict_motion(state.x, state.cov, dt, _DECAY_S, self._motion_noise(state))
-        ambiguity, ionosphere = self.options.dynamics.ambiguity_cyc**2 * dt, (_IONOSPHERE_WALK_PPM * state.baseline_m) ** 2 * dt
-        grow(state.cov, state.keys, state.dynamic, ambiguity, ionosphere, _ZENITH_WALK_M**2 * dt, _SLOPE_WALK_M**2 * dt)
-
-    def _motion_noise(self, state: FilterState) -> Matrix:
-        """Return the spectral density of the jerk (ECEF)."""
+    def _advance(self, state: FilterState, dt: float, single: Located) -> None:
+        """Move the state on by ``dt`` seconds."""
+        state.time_s += dt
         o = self.options.dynamics
-        turn = enu_from_ecef_at(state.base_ecef_m + state.x[:3])
-        h, v = o.acceleration_horizontal_mps2**2, o.acceleration_vertical_mps2**2
-        return (turn.T * np.array((h, h, v))) @ turn
+        if self._moves and dt > _RESEED_S and single.status == CONVERGED:
+            self._seed(state, single)
+        elif self._moves:
+            move(state.filter, dt, _DECAY_S, state.base_ecef_m, o.acceleration_horizontal_mps2, o.acceleration_vertical_mps2, _SEED_MOVING)
+        grow(state.filter.P, state.filter.keys, DYNAMIC, self._walks(state), dt)
 
-    def _astray(self, state: FilterState, single: SinglePoint) -> bool:
-        if not single.ok or self.options.mode is Mode.FIXED:
+    def _walks(self, state: FilterState) -> Walks:
+        length = state.baseline_m
+        return Walks(
+            self.options.dynamics.ambiguity_cyc, _IONOSPHERE_WALK_PPM * length, _IONOSPHERE_SIGMA_PPM * length, _ZENITH_WALK_M,
+            _ZENITH_SIGMA_M, _SLOPE_WALK_M, (float(self._memory[SLOPE]), float(self._memory[SLOPE_SIGMA])), _CODE_MEMORY_S,
+        )  # fmt: skip
+
+    def _astray(self, state: FilterState, single: Located) -> bool:
+        if single.status != CONVERGED or self.options.mode is Mode.FIXED:
             return False
-        gap_m = length_m(state.base_ecef_m + state.x[:3] - single.position_ecef_m)
-        return gap_m > _FAR_M + 5.0 * sqrt(trace(single.position_cov_ecef_m2))
+        gap_m = length_m(state.rover_ecef_m - single.position_ecef_m)
+        return gap_m > _FAR_M + 5.0 * sqrt(trace(single.covariance_m2))
 
     # --- one relative solution ---
 
     def _relative(
-        self, state: FilterState, rover: Epoch, base: Epoch, table: EphemerisTable,
-        klobuchar: KlobucharParameters | None, singles: tuple[SinglePoint, SinglePoint | None],
+        self, state: FilterState, rover: Epoch, base: Epoch, issues: Issues, singles: tuple[Located, Located | None]
     ) -> Solution:  # fmt: skip
-        model_ecef_m = state.base_ecef_m + state.x[:3]
-        age_s = rover.time - base.time
-        differences = self._differences(state, rover, base, table, klobuchar_vector(klobuchar))
+        single, model_ecef_m, age_s = singles[0], state.rover_ecef_m, rover.time - base.time
+        differences = self._differences(state, rover, base, issues, single)
         if distinct(differences.pairs.satellite, np.isfinite(differences.table[:, CODE])) < 4:
-            return replace(from_single(rover, base, singles[0]), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
-        self._base_s = base.time - state.origin
-        layout = self._lay_out(state, differences)
-        outcome = update(state, differences, layout, self._scale, self._velocity(singles))
-        if not outcome.ok or not is_finite(state.x, state.cov):
+            return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
+        base_s = base.time - state.origin
+        times_s = np.array((state.time_s, base_s, state.rover_s, state.base_s))
+        phases, atmosphere = self.options.mode is not Mode.DGPS, 2 if state.baseline_m > _LONG_BASELINE_M else 0
+        arranged = lay_out(state.filter, differences, times_s, self._slip, self._walks(state), phases, atmosphere)
+        state.filter = arranged.filter
+        self._predict_fix(state, arranged)
+        outcome = update(state.filter, differences, arranged.layout, self._scale, *self._velocity(singles))
+        if not outcome.ok or not is_finite(state.filter.x, state.filter.P):
             self.reset()
-            return replace(from_single(rover, base, singles[0]), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
-        self._remember(state, differences, layout, outcome, model_ecef_m)
-        candidates = self._candidates(state, differences, layout, outcome)
-        resolution = self._validation.resolve(state, candidates, self._prediction)
-        if resolution.x is not None:
-            self._prediction = Prediction(resolution.x[:3].copy(), 0.0)
-        self._hold(state, resolution)
-        self._was_fixed = self._was_fixed or resolution.x is not None
-        epoch = Outcome(differences, layout, outcome, resolution, age_s, self._moves, singles[1], self._resets)
-        return report(rover, base, singles[0], state, epoch)
+            return replace(from_single(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
+        remember(state.filter, differences, arranged.layout, outcome.phase_used, state.time_s)
+        state.rover_s, state.base_s, state.rover_model_ecef_m = state.time_s, base_s, model_ecef_m
+        resolution = self._resolved(state, differences, arranged.layout, outcome)
+        self._was_fixed = self._was_fixed or resolution.fixed
+        result = Outcome(differences, arranged.layout, outcome, resolution, age_s, self._moves, singles[1], self._resets)
+        return report(rover, base, single, state, result)
 
-    def _differences(self, state: FilterState, rover: Epoch, base: Epoch, table: EphemerisTable, klobuchar: Vector) -> Differences:
+    def _differences(self, state: FilterState, rover: Epoch, base: Epoch, issues: Issues, single: Located) -> Differences:
         """Form the single differences; a system that this base epoch lacks comes from an earlier one.
 
         Lost messages make such epochs: RTCM 3 sends each system by itself.
         """
         if not self._bases or self._bases[-1] is not base:
             self._bases = [b for b in self._bases if 0.0 < base.time - b.time <= _COMPLEMENT_S] + [base]
-        model_ecef_m, out = state.base_ecef_m + state.x[:3], None
+        model_ecef_m, signals, klobuchar, out = state.rover_ecef_m, rover.signals, self._point.klobuchar, None
         missing = systems_of(rover.satellite)
         for other in reversed(self._bases if self.options.mode is not Mode.MOVING_BASE else [base]):
             found = missing & systems_of(other.satellite)
@@ -284,8 +265,8 @@ class Rtk:
             missing &= ~found
             part = other if out is None else other.take((found >> (other.satellite // SATELLITES_PER_SYSTEM)) & 1 != 0)
             conditions = self._conditions(state, rover.time - other.time, other.time - state.origin)
-            pairs = self._matcher.match(rover, part)
-            made = observe(rover, part, pairs, table, klobuchar, model_ecef_m, state.base_ecef_m, conditions)
+            pairs = match(signals, part.signals, self._rules)
+            made = observe(signals, part.signals, pairs, single, issues.channel, klobuchar, model_ecef_m, state.base_ecef_m, conditions)
             out = made if out is None else combine(out, made)
             if not missing:
                 break
@@ -301,101 +282,35 @@ class Rtk:
         noise = np.array((o.noise.phase_a_m, o.noise.phase_b_m, o.noise.code_ratio, common))
         return Conditions(noise, o.elevation_mask_rad, base_s)
 
-    def _velocity(self, singles: tuple[SinglePoint, SinglePoint | None]) -> tuple[Vector, Matrix] | None:
-        """Return the Doppler velocity relative to the base, with its covariance."""
+    def _velocity(self, singles: tuple[Located, Located | None]) -> tuple[Vector, Matrix]:
+        """Return the Doppler velocity relative to the base, with its covariance; NaN without."""
         rover, base = singles
-        if not self._moves or not rover.has_velocity:
-            return None
+        if not self._moves:
+            return _NOWHERE, _UNKNOWN
         if self.options.mode is not Mode.MOVING_BASE:
-            return rover.velocity_ecef_mps, rover.velocity_cov_ecef_m2ps2
-        if base is None or not base.has_velocity:
-            return None
-        return rover.velocity_ecef_mps - base.velocity_ecef_mps, rover.velocity_cov_ecef_m2ps2 + base.velocity_cov_ecef_m2ps2
+            return rover.velocity_mps, rover.velocity_cov_m2ps2
+        if base is None:
+            return _NOWHERE, _UNKNOWN
+        return rover.velocity_mps - base.velocity_mps, rover.velocity_cov_m2ps2 + base.velocity_cov_m2ps2
 
-    def _lay_out(self, state: FilterState, differences: Differences) -> Layout:
-        """Give every pair its states; deal with slips; begin new states."""
-        pairs, table = differences.pairs, differences.table
-        phases, atmosphere = self.options.mode is not Mode.DGPS, state.baseline_m > _LONG_BASELINE_M
-        keys = wanted_keys(pairs.key, pairs.satellite, table, phases, atmosphere)
-        dt = state.time_s - state.rover_s
-        state.use_keys(keys, max(self.options.slip.maximum_gap_s, 2.5 * dt if dt == dt else 0.0))
-        ambiguity, ionosphere, inflation = np.empty(len(pairs), np.int64), np.empty(len(pairs), np.int64), np.empty(len(pairs))
-        find_places(state.keys, pairs.key, pairs.satellite, table, phases, atmosphere, ambiguity, ionosphere)
-        self._begin_shared(state)
-        self._slips(state, differences, ambiguity)
-        memory = max(1.0, 2.0 * _CODE_MEMORY_S / max(dt, 1e-3)) if dt == dt else 1.0
-        begin_ambiguities(
-            state.x, state.cov, state.history, ambiguity, pairs.satellite, table, state.dynamic, state.time_s, memory, inflation
-        )
-        return Layout(ambiguity, ionosphere, 0 if atmosphere else -1, place_of(state.keys, SLOPE_KEY), inflation)
-
-    def _begin_shared(self, state: FilterState) -> None:
-        """Give a value to new states of the atmosphere and of the GLONASS slope; all of them count as seen."""
-        count = int(state.keys.searchsorted(FIRST_PAIR_KEY))
-        for i in range(count):
-            if state.history[i, ARC_EPOCHS] >= 0.0:
-                continue
-            value, sigma = 0.0, _IONOSPHERE_SIGMA_PPM * state.baseline_m
-            if state.keys[i] == ZENITH_KEY:
-                sigma = _ZENITH_SIGMA_M
-            elif state.keys[i] == SLOPE_KEY:
-                value, sigma = self._validation.slope
-            reset_state(state.x, state.cov, state.dynamic + i, value, sigma**2)
-            state.history[i, ARC_EPOCHS] = 0.0
-        state.history[:count, SEEN_S] = state.time_s
-
-    def _slips(self, state: FilterState, differences: Differences, place: Indices) -> None:
-        """Find slips; a jump of known size moves its ambiguity, one of unknown size begins it anew."""
-        n, d = len(place), differences
-        slip, jump, motion, motion_cov = np.zeros(n, np.int64), np.zeros(n), np.zeros(3), np.zeros((3, 3))
-        times = np.array((state.time_s, self._base_s, state.rover_s, state.base_s))
-        redundancy = find_slips(
-            d.table, state.history, place, d.issue, d.flagged, d.lock_s, d.base_s, d.rover_direction, d.base_direction, times,
-            self._slip_setup, slip, jump, motion, motion_cov,
-        )  # fmt: skip
-        self._predict_fix(state, redundancy, motion, motion_cov)
-        apply_slips(state.x, state.cov, state.history, place, slip, jump, state.dynamic, state.time_s)
-
-    def _predict_fix(self, state: FilterState, redundancy: int, motion: Vector, motion_cov: Matrix) -> None:
+    def _predict_fix(self, state: FilterState, arranged: Arranged) -> None:
         """Carry the last fix on by the motion that the phases show."""
         last = self._prediction
-        if last is None or redundancy < 1 or self.options.mode is Mode.MOVING_BASE:
-            self._prediction = None
+        if not isfinite(last[3]) or arranged.redundancy < 1 or self.options.mode is Mode.MOVING_BASE:
+            self._prediction = _NO_PREDICTION
             return
-        moved = state.base_ecef_m + state.x[:3] - state.rover_model_ecef_m + motion
-        self._prediction = Prediction(last.baseline_ecef_m + moved, last.sigma_m + sqrt(trace(motion_cov)))
+        moved = state.rover_ecef_m - state.rover_model_ecef_m + arranged.motion_m
+        self._prediction = np.append(last[:3] + moved, last[3] + sqrt(trace(arranged.motion_cov_m2)))
 
-    def _remember(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update, model_ecef_m: Vector) -> None:
-        """Write the history of this epoch."""
-        d = differences
-        remember(state.history, layout.ambiguity, d.table, d.base_s, d.lock_s, d.issue, outcome.phase_used, state.time_s)
-        state.rover_s, state.base_s = state.time_s, self._base_s
-        state.rover_model_ecef_m = model_ecef_m
-
-    def _candidates(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update) -> Candidates:
-        """Return the ambiguities of this epoch that may become integers."""
-        o, pairs, chosen = self.options.ambiguity, differences.pairs, np.empty(len(differences.pairs), np.int64)
-        count = candidate_pairs(
-            state.history, layout.ambiguity, pairs.satellite, differences.table, outcome.phase_used, o.elevation_mask_rad,
-            float(o.minimum_lock_epochs), chosen,
-        )  # fmt: skip
-        chosen = chosen[:count]
-        return Candidates(
-            layout.ambiguity[chosen],
-            pairs.group[chosen],
-            pairs.satellite[chosen].astype(np.int64),
-            differences.table[chosen, ELEVATION_RAD],
-        )
-
-    def _hold(self, state: FilterState, resolution: Resolution) -> None:
-        """In fix-and-hold, tell the filter of integers that have proven themselves (softly, so that it can still object)."""
+    def _resolved(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update) -> Resolution:
+        """Return what is known of integers, and carry the fix on as the next epoch's prediction."""
         o = self.options.ambiguity
-        if o.mode is not AmbiguityMode.FIX_AND_HOLD or resolution.pairs is None or resolution.integers is None or resolution.grade < 3:
-            return
-        if self._validation.confirmations < o.hold_after_epochs:
-            return
-        n = len(state.x)
-        N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
-        add_constraints(resolution.pairs, state.x, resolution.integers, o.hold_variance_cyc2, N, b)
-        if posterior(state.cov, N, b, P, dx) == OK:
-            state.x, state.cov = state.x + dx, P
+        if o.mode is AmbiguityMode.OFF:
+            return not_resolved(Reason.AMBIGUITY_OFF)
+        candidates = find_candidates(
+            state.filter, differences, layout, outcome.phase_used, o.elevation_mask_rad, float(o.minimum_lock_epochs)
+        )
+        resolution = resolve(state.filter, candidates, self._memory, self._resolve, self._prediction, state.time_s)
+        if resolution.fixed:
+            self._prediction = np.append(resolution.x[:3], 0.0)
+        return resolution

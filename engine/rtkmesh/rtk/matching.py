@@ -6,15 +6,14 @@ the same RINEX 3 code first, then codes of one component family (2L, 2S, 2X ...)
 quarter cycle per satellite.
 """
 
-from dataclasses import dataclass
 from math import isfinite
-from typing import Final, cast
+from typing import Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.epoch import Signals
 from rtkmesh.gnss.signals import ATTRIBUTES, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
 
 Vector = NDArray[np.float64]
@@ -63,8 +62,18 @@ PAIR: Final = 5
 SAME_CODE, SAME_FAMILY, SAME_BAND = range(3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
+class Rules(NamedTuple):
+    """What decides which signals are paired: satellites by number, bands per satellite, C/N0 mask, and the tables of this module."""
+
+    allowed: NDArray[np.bool_]
+    frequencies: int
+    cn0_mask_dbhz: float
+    order: Indices
+    rank: Indices
+    family: Indices
+
+
+class Pairs(NamedTuple):
     """Single differences that can be formed, sorted by (satellite, band order): rows of the two epochs and the clock group of each.
 
     ``group`` numbers the (system, rover signal, base signal) combinations in rising order; ``likeness`` is SAME_CODE, SAME_FAMILY or
@@ -72,64 +81,43 @@ class Pairs:
     """
 
     satellite: NDArray[np.int16]
-    rover: NDArray[np.int64]
-    base: NDArray[np.int64]
-    likeness: NDArray[np.int64]
-    group: NDArray[np.int64]
+    rover: Indices
+    base: Indices
+    likeness: Indices
+    group: Indices
     groups: int
-    key: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.rover)
+    key: Indices
 
 
-class Matcher:
-    """Forms the pairs of two epochs under fixed options."""
-
-    def __init__(self, systems: str, frequencies: int, excluded: tuple[str, ...], cn0_mask_dbhz: float) -> None:
-        self._allowed = np.zeros(len(SYSTEMS) * SATELLITES_PER_SYSTEM, np.bool_)
-        for system in systems:
-            first = SYSTEMS.index(system) * SATELLITES_PER_SYSTEM
-            self._allowed[first : first + SATELLITES_PER_SYSTEM] = True
-        for satellite_id in excluded:
-            self._allowed[satellite_number(satellite_id)] = False
-        self._frequencies = frequencies
-        self._cn0_mask_dbhz = cn0_mask_dbhz
-
-    def match(self, rover: Epoch, base: Epoch) -> Pairs:
-        """Return the pairs of two epochs."""
-        rows = min(len(rover), len(base))
-        table, satellite = np.empty((PAIR, rows), np.int64), np.empty(rows, np.int16)
-        count, groups = match_epochs(
-            rover.satellite, rover.signal, rover.pseudorange_m, rover.phase_cyc, rover.cn0_dbhz, base.satellite, base.signal,
-            base.pseudorange_m, base.phase_cyc, base.cn0_dbhz, self._cn0_mask_dbhz, self._allowed, self._frequencies, _ORDER, _RANK,
-            _FAMILY, table, satellite,
-        )  # fmt: skip
-        rover_row, base_row, likeness, key, group = table[:, :count]
-        return Pairs(satellite[:count], rover_row, base_row, likeness, group, groups, key)
+def matching_rules(systems: str, frequencies: int, excluded: tuple[str, ...] = (), cn0_mask_dbhz: float = 0.0) -> Rules:
+    """Return the rules for RINEX letters of systems, a number of bands, excluded RINEX ids and a least C/N0."""
+    allowed = np.zeros(len(SYSTEMS) * SATELLITES_PER_SYSTEM, np.bool_)
+    for system in systems:
+        first = SYSTEMS.index(system) * SATELLITES_PER_SYSTEM
+        allowed[first : first + SATELLITES_PER_SYSTEM] = True
+    for satellite_id in excluded:
+        allowed[satellite_number(satellite_id)] = False
+    return Rules(allowed, frequencies, cn0_mask_dbhz, _ORDER, _RANK, _FAMILY)
 
 
 @kernel
-def match_epochs(
-    rover_satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], rover_code: Vector, rover_phase: Vector, rover_cn0: Vector,
-    base_satellite: NDArray[np.int16], base_signal: NDArray[np.int16], base_code: Vector, base_phase: Vector, base_cn0: Vector,
-    cn0_mask_dbhz: float, allowed: NDArray[np.bool_], frequencies: int, order: Indices, rank: Indices, family: Indices, table: Indices,
-    satellite: NDArray[np.int16],
-) -> tuple[int, int]:  # fmt: skip
-    """Write the columns of the pairs (PAIR, n) and their satellites; return how many pairs and how many clock groups there are."""
-    rover_usable, base_usable = np.empty(len(rover_satellite), np.int64), np.empty(len(base_satellite), np.int64)
-    _usable(rover_code, rover_phase, rover_cn0, cn0_mask_dbhz, rover_usable)
-    _usable(base_code, base_phase, base_cn0, cn0_mask_dbhz, base_usable)
-    pairs = np.empty((len(satellite), 3), np.int64)
+def match(rover: Signals, base: Signals, rules: Rules) -> Pairs:
+    """Return the pairs of two epochs."""
+    rover_usable, base_usable = np.empty(len(rover.satellite), np.int64), np.empty(len(base.satellite), np.int64)
+    _usable(rover.pseudorange_m, rover.phase_cyc, rover.cn0_dbhz, rules.cn0_mask_dbhz, rover_usable)
+    _usable(base.pseudorange_m, base.phase_cyc, base.cn0_dbhz, rules.cn0_mask_dbhz, base_usable)
+    rows = np.empty((min(len(rover.satellite), len(base.satellite)), 3), np.int64)
     count = _match(
-        rover_satellite, rover_signal, rover_usable, base_satellite, base_signal, base_usable, allowed, frequencies, order, rank, family,
-        pairs,
+        rover.satellite, rover.signal, rover_usable, base.satellite, base.signal, base_usable, rules.allowed, rules.frequencies, rules.order,
+        rules.rank, rules.family, rows,
     )  # fmt: skip
+    satellite, columns = np.empty(count, np.int16), np.empty((PAIR, count), np.int64)
     for k in range(count):
+        satellite[k] = rover.satellite[rows[k, ROVER]]
         for i in range(3):
-            table[i, k] = pairs[k, i]
-        satellite[k] = rover_satellite[pairs[k, ROVER]]
-    return count, _keys(count, satellite, rover_signal, base_signal, table)
+            columns[i, k] = rows[k, i]
+    groups = _keys(count, satellite, rover.signal, base.signal, columns)
+    return Pairs(satellite, columns[ROVER], columns[BASE], columns[LIKENESS], columns[CLOCK_GROUP], groups, columns[KEY])
 
 
 @kernel

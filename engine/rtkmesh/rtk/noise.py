@@ -10,6 +10,7 @@ from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import SYSTEMS
 
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 CN0_KNEE_DBHZ: Final = 34.0  # where thermal noise and obstructions double the variance of an open-sky signal
 UNALIGNED_CODE_M: Final = 0.6  # two codes of one band: differential code biases of the satellites (IGS DCB products: 0.3 to 1 m) stay in
@@ -17,7 +18,8 @@ CLOCK_DRIFT_MPS: Final = 1.5e-3  # satellite clock over the age of a base epoch:
 IONOSPHERE_PPM: Final = 0.5e-6  # ionospheric gradient that stays in where it is no state
 SCALE_PRIOR_DOF: Final = 3.0  # how many residuals the default code sigma is worth against the measured ones
 SCALE_MEMORY_DOF: Final = 400.0  # how many are remembered: some tens of seconds at 1 Hz, code multipath lasts as long
-SCALE_RANGE: Final = (0.02, 30.0)  # variance factors: survey antennas (0.15 m) to patches between trees (5 m)
+SCALE_LEAST: Final = 0.02  # variance factor: survey antennas (0.15 m)
+SCALE_MOST: Final = 30.0  # patches between trees (5 m)
 
 
 @kernel
@@ -38,34 +40,31 @@ def cn0_factor(cn0_dbhz: float) -> float:
     return 1.0 + 10.0 ** (-0.1 * (cn0_dbhz - CN0_KNEE_DBHZ))
 
 
-class CodeScale:
-    """The variance factor of pseudoranges per system, learned from residuals: one default cannot suit survey antennas and patches.
-
-    The estimate is the posterior mean of a scaled inverse chi-square with ``SCALE_PRIOR_DOF`` degrees of freedom at 1.
-    """
-
-    def __init__(self) -> None:
-        self._squares = np.zeros(len(SYSTEMS))
-        self._dof = np.zeros(len(SYSTEMS))
-
-    def factors(self) -> Vector:
-        """Return the variance factor per system."""
-        raw = (SCALE_PRIOR_DOF + self._squares) / (SCALE_PRIOR_DOF + self._dof)
-        return _within_range(raw)
-
-    def learn(self, squares: Vector, dof: Vector) -> None:
-        """Take in the sums of squared normalised residuals (for a factor of 1) and their degrees of freedom, per system."""
-        self._squares += squares
-        self._dof += dof
-        shrink = np.minimum(1.0, SCALE_MEMORY_DOF / np.maximum(self._dof, 1.0))
-        self._squares *= shrink
-        self._dof *= shrink
-
-    def trial(self, squares: Vector, dof: Vector) -> Vector:
-        """Return what the factors would be after ``learn``."""
-        raw = (SCALE_PRIOR_DOF + self._squares + squares) / (SCALE_PRIOR_DOF + self._dof + dof)
-        return _within_range(raw)
+# The variance factor of pseudoranges per system is learned from residuals: one default cannot suit survey antennas and patches. Its rows
+# are sums of squared normalised residuals and their degrees of freedom; the estimate is the posterior mean of a scaled inverse chi-square
+# with SCALE_PRIOR_DOF degrees of freedom at 1.
+SQUARES, DOF = 0, 1
 
 
-def _within_range(factors: Vector) -> Vector:
-    return np.minimum(np.maximum(factors, SCALE_RANGE[0]), SCALE_RANGE[1])
+def new_code_scale() -> Matrix:
+    """Return the memory (2, systems) of what codes have shown of their noise: nothing."""
+    return np.zeros((2, len(SYSTEMS)))
+
+
+@kernel
+def code_factors(scale: Matrix, trial: Matrix) -> Vector:
+    """Return the variance factor per system by what is known and the ``trial`` sums and degrees of freedom."""
+    out = np.empty(scale.shape[1])
+    for k in range(len(out)):
+        raw = (SCALE_PRIOR_DOF + scale[SQUARES, k] + trial[SQUARES, k]) / (SCALE_PRIOR_DOF + scale[DOF, k] + trial[DOF, k])
+        out[k] = min(max(raw, SCALE_LEAST), SCALE_MOST)
+    return out
+
+
+@kernel
+def learn_codes(scale: Matrix, trial: Matrix) -> None:
+    """Take in sums of squared normalised residuals (for a factor of 1) and their degrees of freedom."""
+    for k in range(scale.shape[1]):
+        squares, dof = scale[SQUARES, k] + trial[SQUARES, k], scale[DOF, k] + trial[DOF, k]
+        shrink = min(1.0, SCALE_MEMORY_DOF / max(dof, 1.0))
+        scale[SQUARES, k], scale[DOF, k] = squares * shrink, dof * shrink

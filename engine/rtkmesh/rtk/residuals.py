@@ -3,20 +3,20 @@
 The models are undifferenced (``rtkmesh.models.geometry``), so a base epoch of another time needs nothing special.
 """
 
-from dataclasses import dataclass, fields
 from math import isfinite
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
-from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch
+from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Signals
 from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, carrier_hz
-from rtkmesh.models.ephemeris_table import IODE, TOE_TOW, TOE_WEEK, EphemerisTable
-from rtkmesh.models.geometry import AZIMUTH, E_X, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_model
-from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK
+from rtkmesh.models.ephemeris_table import IODE, KIND, NO_EPHEMERIS, ROW, TOE_TOW, TOE_WEEK
+from rtkmesh.models.geometry import AZIMUTH, E_X, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_geometry
+from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK, satellite_states
+from rtkmesh.models.single import Located
 from rtkmesh.rtk.matching import Pairs, runs
 from rtkmesh.rtk.noise import UNALIGNED_CODE_M, cn0_factor, elevation_variance
 
@@ -61,20 +61,12 @@ def wavelengths(
 
 @kernel
 def observe_receiver(
-    rows: Matrix, week: int, tow_s: float, position_ecef_m: Vector, klobuchar: Vector, first: Indices, satellite_index: Indices,
-    row: Indices, wavelength_m: Vector, pseudorange_m: Vector, phase_cyc: Vector, flags: NDArray[np.uint8], geometry: Matrix,
-    out: Matrix, direction: Matrix,
+    signals: Signals, row: Indices, satellite_index: Indices, wavelength_m: Vector, position_ecef_m: Vector, klobuchar: Vector,
+    states: Matrix, geometry: Matrix, out: Matrix,
 ) -> None:  # fmt: skip
-    """Model one receiver: write the geometry per satellite, and per pair code and phase minus model (n x 2) and the direction (n x 3)."""
-    count = len(first)
-    states, codes = np.empty((count, STATE)), np.empty(count)
-    for i in range(count):
-        codes[i] = pseudorange_m[row[first[i]]]
-    receiver_model(rows, week, tow_s, codes, position_ecef_m, klobuchar, states, geometry)
-    undifferenced(row, satellite_index, wavelength_m, pseudorange_m, phase_cyc, flags, states, geometry, out)
-    for k in range(len(row)):
-        for i in range(3):
-            direction[k, i] = geometry[satellite_index[k], E_X + i]
+    """Write the geometry per satellite of one receiver, and code and phase minus model (m, n x 2) per pair."""
+    receiver_geometry(states, signals.week, signals.tow_s, position_ecef_m, klobuchar, geometry)
+    undifferenced(row, satellite_index, wavelength_m, signals.pseudorange_m, signals.phase_cyc, signals.flags, states, geometry, out)
 
 
 @kernel
@@ -148,37 +140,24 @@ def single_differences(
 
 @kernel
 def receiver_words(
-    row: Indices, cn0_dbhz: Vector, code_sigma_m: Vector, phase_sigma_cyc: Vector, receiver_lock_s: Vector, flags: NDArray[np.uint8],
-    receiver: int, words: Matrix, lock_s: Matrix, flagged: NDArray[np.bool_], half_cycle: NDArray[np.bool_],
-) -> None:  # fmt: skip
+    signals: Signals, row: Indices, receiver: int, words: Matrix, lock_s: Matrix, flagged: NDArray[np.bool_], half_cycle: NDArray[np.bool_]
+) -> None:
     """Write what one receiver (0: rover, 1: base) says of its signals: C/N0 and sigmas, lock times, slips and open half cycles."""
     for k in range(len(row)):
         i = row[k]
-        words[k, WORD_CN0], words[k, WORD_CODE_SIGMA], words[k, WORD_PHASE_SIGMA] = cn0_dbhz[i], code_sigma_m[i], phase_sigma_cyc[i]
-        lock_s[k, receiver] = receiver_lock_s[i]
-        flagged[k, receiver] = flags[i] & SLIP != 0
-        half_cycle[k] = (receiver == 1 and half_cycle[k]) or flags[i] & HALF_CYCLE != 0
+        words[k, WORD_CN0], words[k, WORD_CODE_SIGMA] = signals.cn0_dbhz[i], signals.pseudorange_sigma_m[i]
+        words[k, WORD_PHASE_SIGMA] = signals.phase_sigma_cyc[i]
+        lock_s[k, receiver] = signals.lock_s[i]
+        flagged[k, receiver] = signals.flags[i] & SLIP != 0
+        half_cycle[k] = (receiver == 1 and half_cycle[k]) or signals.flags[i] & HALF_CYCLE != 0
 
 
-@kernel
-def per_pair(
-    satellite_index: Indices, rows: Matrix, geometry: Matrix, base_s: float, issue: Vector, azimuth_rad: Vector, times: Vector
-) -> None:
-    """Write per pair a number that changes with the issue of the ephemeris, the azimuth, and the time of the base epoch."""
-    for k in range(len(satellite_index)):
-        s = satellite_index[k]
-        issue[k] = rows[s, TOE_WEEK] * 1.0e6 + rows[s, TOE_TOW] + rows[s, IODE] * 1e-3
-        azimuth_rad[k] = geometry[s, AZIMUTH]
-        times[k] = base_s
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Differences:
+class Differences(NamedTuple):
     """The single differences of one pair of epochs; all columns go with ``pairs``.
 
-    ``table`` is of ``single_differences``; directions are unit vectors receiver to satellite; ``issue`` names the ephemeris; ``flagged``
-    (n x 2) says that the rover or the base reports a slip; ``half_cycle`` that either has its half cycles open; ``lock_s`` (n x 2) are
-    rover's and base's; ``base_s`` is the time of the base epoch (on the filter's clock).
+    ``table`` is of ``single_differences``; directions are unit vectors receiver to satellite; ``issue`` changes with the issue of the
+    ephemeris; ``flagged`` (n x 2) says that the rover or the base reports a slip; ``half_cycle`` that either has its half cycles open;
+    ``lock_s`` (n x 2) are rover's and base's; ``base_s`` is the time of the base epoch (on the filter's clock).
     """
 
     pairs: Pairs
@@ -193,8 +172,7 @@ class Differences:
     base_s: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class Conditions:
+class Conditions(NamedTuple):
     """What of an epoch decides variances and use: noise parameters, elevation mask, time of the base epoch (on the filter's clock)."""
 
     noise: Vector
@@ -202,42 +180,57 @@ class Conditions:
     base_s: float
 
 
+@kernel
 def observe(
-    rover: Epoch, base: Epoch, pairs: Pairs, table: EphemerisTable, klobuchar: Vector, rover_ecef_m: Vector, base_ecef_m: Vector,
-    conditions: Conditions,
+    rover: Signals, base: Signals, pairs: Pairs, located: Located, channel: NDArray[np.int8], klobuchar: Vector, rover_ecef_m: Vector,
+    base_ecef_m: Vector, conditions: Conditions,
 ) -> Differences:  # fmt: skip
     """Form the single differences of matched epochs, modelled at these positions.
 
-    Both receivers are modelled with the same issue of each ephemeris, the one that is right for the rover's epoch.
+    Both receivers are modelled with the same issue of each ephemeris: those that ``located``, the rover's single-point solution, used.
     """
     satellites, first, index = runs(pairs.satellite)
-    n, count = len(pairs), len(satellites)
-    rows = table.select(satellites, rover.time)
+    n, count = len(pairs.satellite), len(satellites)
+    rows, states, codes_m = np.empty((count, ROW)), np.empty((2, count, STATE)), np.empty(count)
+    take_satellites(located, satellites, rows, states[0])
+    for i in range(count):
+        codes_m[i] = base.pseudorange_m[pairs.base[first[i]]]
+    satellite_states(rows, base.week, base.tow_s, codes_m, states[1])
     wavelength_m, channels = np.empty(n), np.empty(n)
-    wavelengths(pairs.satellite, rover.signal, rover.channel, pairs.rover, table.channel_by_satellite, wavelength_m, channels)
+    wavelengths(pairs.satellite, rover.signal, rover.channel, pairs.rover, channel, wavelength_m, channels)
     geometry, out, words = np.empty((2, count, GEOMETRY)), np.empty((2, n, 2)), np.empty((2, n, WORDS))
-    direction, lock_s = np.empty((2, n, 3)), np.empty((n, 2))
-    flagged, half_cycle = np.empty((n, 2), np.bool_), np.empty(n, np.bool_)
-    for k, (epoch, row, position) in enumerate(((rover, pairs.rover, rover_ecef_m), (base, pairs.base, base_ecef_m))):
-        observe_receiver(
-            rows, epoch.time.week, epoch.time.tow_s, position, klobuchar, first, index, row, wavelength_m, epoch.pseudorange_m,
-            epoch.phase_cyc, epoch.flags, geometry[k], out[k], direction[k],
-        )  # fmt: skip
-        receiver_words(
-            row, epoch.cn0_dbhz, epoch.pseudorange_sigma_m, epoch.phase_sigma_cyc, epoch.lock_s, epoch.flags, k, words[k], lock_s, flagged,
-            half_cycle,
-        )  # fmt: skip
-    differences = np.empty((n, DIFFERENCE))
+    lock_s, flagged, half_cycle = np.empty((n, 2)), np.empty((n, 2), np.bool_), np.empty(n, np.bool_)
+    observe_receiver(rover, pairs.rover, index, wavelength_m, rover_ecef_m, klobuchar, states[0], geometry[0], out[0])
+    observe_receiver(base, pairs.base, index, wavelength_m, base_ecef_m, klobuchar, states[1], geometry[1], out[1])
+    receiver_words(rover, pairs.rover, 0, words[0], lock_s, flagged, half_cycle)
+    receiver_words(base, pairs.base, 1, words[1], lock_s, flagged, half_cycle)
+    table = np.empty((n, DIFFERENCE))
     single_differences(
         index, pairs.likeness, wavelength_m, channels, out[0], out[1], words[0], words[1], geometry[0], conditions.mask_rad,
-        conditions.noise, differences,
+        conditions.noise, table,
     )  # fmt: skip
-    issue, azimuth_rad, base_s = np.empty(n), np.empty(n), np.empty(n)
-    per_pair(index, rows, geometry[0], conditions.base_s, issue, azimuth_rad, base_s)
-    return Differences(
-        pairs, differences, direction[0], direction[1], azimuth_rad, issue=issue, flagged=flagged, half_cycle=half_cycle, lock_s=lock_s,
-        base_s=base_s,
-    )  # fmt: skip
+    direction, issue, azimuth_rad, base_s = np.empty((2, n, 3)), np.empty(n), np.empty(n), np.empty(n)
+    for k in range(n):
+        s = index[k]
+        for i in range(3):
+            direction[0, k, i], direction[1, k, i] = geometry[0, s, E_X + i], geometry[1, s, E_X + i]
+        issue[k] = rows[s, TOE_WEEK] * 1.0e6 + rows[s, TOE_TOW] + rows[s, IODE] * 1e-3
+        azimuth_rad[k], base_s[k] = geometry[0, s, AZIMUTH], conditions.base_s
+    return Differences(pairs, table, direction[0], direction[1], azimuth_rad, issue, flagged, half_cycle, lock_s, base_s)
+
+
+@kernel
+def take_satellites(located: Located, satellites: NDArray[np.int16], rows: Matrix, states: Matrix) -> None:
+    """Write ephemeris rows and states of these satellites (sorted); NaN and not OK where the single point had no code of one."""
+    j = 0
+    for i in range(len(satellites)):
+        while j < len(located.satellites) and located.satellites[j] < satellites[i]:
+            j += 1
+        if j < len(located.satellites) and located.satellites[j] == satellites[i]:
+            rows[i, :], states[i, :] = located.rows[j], located.states[j]
+            continue
+        rows[i, :], states[i, :] = np.nan, np.nan
+        rows[i, KIND], states[i, STATE_OK] = NO_EPHEMERIS, 0.0
 
 
 def combine(first: Differences, second: Differences) -> Differences:
@@ -253,5 +246,4 @@ def combine(first: Differences, second: Differences) -> Differences:
         satellite[order], both(a.rover, b.rover), both(a.base, b.base), both(a.likeness, b.likeness), both(a.group, b.group + a.groups),
         a.groups + b.groups, both(a.key, b.key),
     )  # fmt: skip
-    columns = {f.name: both(getattr(first, f.name), getattr(second, f.name)) for f in fields(Differences) if f.name != "pairs"}
-    return Differences(pairs=pairs, **columns)
+    return Differences(pairs, *(both(x, y) for x, y in zip(first[1:], second[1:], strict=True)))

@@ -5,14 +5,14 @@ its own motion (3), its clock (1) and by millimetres otherwise. A robust fit to 
 frequency, which a geometry-free combination cannot.
 """
 
-from math import isfinite, sqrt
-from typing import Final
+from math import isfinite
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.rtk.residuals import BASE_PHASE, ROVER_PHASE, WAVELENGTH
+from rtkmesh.rtk.residuals import BASE_PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import BASE_LOCK_S, BASE_M, BASE_S, ISSUE, ROVER_LOCK_S, ROVER_M, ROVER_S, SEEN_S
 
 Vector = NDArray[np.float64]
@@ -39,32 +39,26 @@ def lost_lock(lock_s: float, previous_lock_s: float, elapsed_s: float) -> bool:
     return lock_s < previous_lock_s - 1e-3 or 2.0 * lock_s + 0.5 < elapsed_s
 
 
+class SlipSetup(NamedTuple):
+    """Threshold of the time-difference test (cycles), longest gap that ambiguities survive (s), and who moves."""
+
+    threshold_cyc: float
+    maximum_gap_s: float
+    base_moves: bool
+    rover_moves: bool
+
+
 @kernel
 def find_slips(
-    differences: Matrix,
-    history: Matrix,
-    place: Indices,
-    issue: Vector,
-    flagged: NDArray[np.bool_],
-    lock_s: Matrix,
-    base_s: Vector,
-    rover_direction: Matrix,
-    base_direction: Matrix,
-    times_s: Vector,
-    setup: Vector,
-    slip: Indices,
-    jump_cyc: Vector,
-    motion: Vector,
+    d: Differences, history: Matrix, place: Indices, times_s: Vector, setup: SlipSetup, slip: Indices, jump_cyc: Vector, motion: Vector,
     motion_cov: Matrix,
-) -> int:
+) -> int:  # fmt: skip
     """Write per pair NO_SLIP, KNOWN_SLIP (with the jump in cycles) or LOST; the motion of the rover (m, against its model positions).
 
-    ``place`` are rows of ``history`` (-1: no phase); ``flagged`` and ``lock_s`` (n x 2) are the words of rover and base; ``base_s`` is
-    the time of each pair's base epoch; ``times_s`` are now rover, now base, last rover, last base; ``setup`` is threshold (cycles),
-    longest gap (s), 1.0 if the base moves, 1.0 if the rover moves. Return the redundancy of the rover's test.
+    ``place`` are rows of ``history`` (-1: no phase); ``times_s`` are now rover, now base, last rover, last base. Return the redundancy of
+    the rover's test.
     """
-    n = len(place)
-    threshold_cyc, longest_gap_s, base_moves = setup[0], setup[1], setup[2] > 0.0
+    n, wavelength = len(place), d.table[:, WAVELENGTH]
     rover_dt, base_dt = times_s[0] - times_s[2], times_s[1] - times_s[3]
     together = rover_dt > SLOW_S and abs(rover_dt - base_dt) < 0.1
     change, threshold, residual = np.full(n, np.nan), np.empty(n), np.empty(n)
@@ -73,48 +67,61 @@ def find_slips(
         slip[k], jump_cyc[k], threshold[k] = NO_SLIP, 0.0, np.nan
         if place[k] < 0:
             continue
-        h, wavelength = history[place[k]], differences[k, WAVELENGTH]
-        threshold[k] = threshold_cyc * wavelength + (0.25 if together else 1.0) * DRIFT_MPS * rover_dt
-        if h[ISSUE] == issue[k] and h[ROVER_S] == times_s[2]:
-            change[k] = differences[k, ROVER_PHASE] - h[ROVER_M]
-        if h[ISSUE] == issue[k] and h[BASE_S] == times_s[3] and base_s[k] == times_s[1] and base_dt > 0.0:
-            base_change[k] = differences[k, BASE_PHASE] - h[BASE_M]
+        h = history[place[k]]
+        threshold[k] = setup.threshold_cyc * wavelength[k] + (0.25 if together else 1.0) * DRIFT_MPS * rover_dt
+        if h[ISSUE] == d.issue[k] and h[ROVER_S] == times_s[2]:
+            change[k] = d.table[k, ROVER_PHASE] - h[ROVER_M]
+        if h[ISSUE] == d.issue[k] and h[BASE_S] == times_s[3] and d.base_s[k] == times_s[1] and base_dt > 0.0:
+            base_change[k] = d.table[k, BASE_PHASE] - h[BASE_M]
         if together:
             change[k] -= base_change[k]
-    redundancy = time_difference_test(change, rover_direction, threshold, setup[3] > 0.0, residual, motion, motion_cov)
+    redundancy = time_difference_test(change, d.rover_direction, threshold, setup.rover_moves, residual, motion, motion_cov)
     base_redundancy = UNTESTED
     if not together and base_dt > 0.0:
-        spare, spare_cov, base_threshold = np.empty(3), np.empty((3, 3)), np.empty(n)
-        for k in range(n):
-            base_threshold[k] = threshold_cyc * differences[k, WAVELENGTH] + DRIFT_MPS * base_dt
-        base_redundancy = time_difference_test(base_change, base_direction, base_threshold, base_moves, base_residual, spare, spare_cov)
-        if base_redundancy != UNTESTED:
-            for k in range(n):
-                if abs(base_residual[k]) > base_threshold[k]:
-                    slip[k] = KNOWN_SLIP
+        base_redundancy = _test_base(d, base_change, base_dt, setup, base_residual, slip)
     for k in range(n):
         if place[k] < 0:
             continue
-        h, wavelength = history[place[k]], differences[k, WAVELENGTH]
         if redundancy != UNTESTED and abs(residual[k]) > threshold[k]:
             slip[k] = KNOWN_SLIP
-        if flagged[k, 0] or lost_lock(lock_s[k, 0], h[ROVER_LOCK_S], times_s[0] - h[ROVER_S]):
-            slip[k] = KNOWN_SLIP
-        new_base = base_s[k] != h[BASE_S]  # what a base epoch says counts once, however long it is used
-        if new_base and (flagged[k, 1] or lost_lock(lock_s[k, 1], h[BASE_LOCK_S], base_s[k] - h[BASE_S])):
-            slip[k] = KNOWN_SLIP
-        gap_s = times_s[0] - h[SEEN_S]
-        if gap_s > max(longest_gap_s, 2.5 * rover_dt) or (gap_s > 1.5 * rover_dt and not lock_s[k, 0] > gap_s):
-            slip[k] = LOST
+        _hear_receivers(d, k, history[place[k]], times_s, setup.maximum_gap_s, slip)
         if slip[k] != KNOWN_SLIP:
             continue
         jump = residual[k] if redundancy >= REPAIR_REDUNDANCY else np.nan
-        if not together and new_base:
+        if not together and d.base_s[k] != history[place[k], BASE_S]:
             jump -= base_residual[k] if base_redundancy >= REPAIR_REDUNDANCY else np.nan
-        jump_cyc[k] = jump / wavelength
+        jump_cyc[k] = jump / wavelength[k]
         if not isfinite(jump):
             slip[k] = LOST
     return redundancy
+
+
+@kernel
+def _test_base(d: Differences, change_m: Vector, dt_s: float, setup: SlipSetup, residual_m: Vector, slip: Indices) -> int:
+    """Test the phases of the base by themselves; mark its slips; return the redundancy."""
+    spare, spare_cov, threshold = np.empty(3), np.empty((3, 3)), np.empty(len(slip))
+    for k in range(len(slip)):
+        threshold[k] = setup.threshold_cyc * d.table[k, WAVELENGTH] + DRIFT_MPS * dt_s
+    redundancy = time_difference_test(change_m, d.base_direction, threshold, setup.base_moves, residual_m, spare, spare_cov)
+    if redundancy != UNTESTED:
+        for k in range(len(slip)):
+            if abs(residual_m[k]) > threshold[k]:
+                slip[k] = KNOWN_SLIP
+    return redundancy
+
+
+@kernel
+def _hear_receivers(d: Differences, k: int, history: Vector, times_s: Vector, longest_gap_s: float, slip: Indices) -> None:
+    """Mark what the receivers say of pair k: slips, lock times, gaps."""
+    rover_dt = times_s[0] - times_s[2]
+    if d.flagged[k, 0] or lost_lock(d.lock_s[k, 0], history[ROVER_LOCK_S], times_s[0] - history[ROVER_S]):
+        slip[k] = KNOWN_SLIP
+    new_base = d.base_s[k] != history[BASE_S]  # what a base epoch says counts once, however long it is used
+    if new_base and (d.flagged[k, 1] or lost_lock(d.lock_s[k, 1], history[BASE_LOCK_S], d.base_s[k] - history[BASE_S])):
+        slip[k] = KNOWN_SLIP
+    gap_s = times_s[0] - history[SEEN_S]
+    if gap_s > max(longest_gap_s, 2.5 * rover_dt) or (gap_s > 1.5 * rover_dt and not d.lock_s[k, 0] > gap_s):
+        slip[k] = LOST
 
 
 @kernel
@@ -253,9 +260,3 @@ def _median(values: Vector) -> float:
     if n == 0:
         return 0.0
     return kept[n // 2] if n % 2 == 1 else 0.5 * (kept[n // 2 - 1] + kept[n // 2])
-
-
-def rms(values: Vector) -> float:
-    """Return the root mean square of the finite values; NaN if there are none."""
-    kept = values[np.isfinite(values)]
-    return sqrt(float(np.add.reduce(kept * kept)) / len(kept)) if len(kept) else float("nan")

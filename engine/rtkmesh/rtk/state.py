@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import MAX_SATELLITE
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.filter import merge_keys, rearrange
@@ -22,51 +23,86 @@ FIRST_PAIR_KEY: Final = MAX_SATELLITE  # below: ionosphere states (satellite num
 # Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last
 # phases minus model (m), ISSUE the ephemeris they were made with; ARC_EPOCHS counts epochs since the ambiguity was begun anew, REJECTS
 # those in a row in which its phase did not fit; INTEGER is the held integer (cycles, common offset per group), NaN where none.
-SEEN_S, ROVER_S, BASE_S, ROVER_M, BASE_M, ROVER_LOCK_S, BASE_LOCK_S, ISSUE, ARC_EPOCHS, REJECTS, SLIPS, INTEGER, ARC_S = range(13)
-HISTORY: Final = 13
+# STREAK is what the last search said (0 for a group's reference), NaN where it was not in the search.
+SEEN_S, ROVER_S, BASE_S, ROVER_M, BASE_M, ROVER_LOCK_S, BASE_LOCK_S, ISSUE, ARC_EPOCHS, REJECTS, SLIPS, INTEGER, ARC_S, STREAK = range(14)
+HISTORY: Final = 14
+DYNAMIC: Final = 9  # baseline, velocity, acceleration come before the keyed states
+
+
+class Filter(NamedTuple):
+    """State and covariance, ordered as ``filter`` says, the keys of the states from DYNAMIC on, and a row of history per key.
+
+    The arrays are written to in place; a filter of other keys is another tuple.
+    """
+
+    x: Vector
+    P: Matrix
+    keys: Indices
+    history: Matrix
+
+
+def new_filter() -> Filter:
+    """Return a filter without keyed states that knows nothing."""
+    return Filter(np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), np.zeros(0, np.int64), np.zeros((0, HISTORY)))
+
+
+@kernel
+def use_keys(f: Filter, current: Indices, time_s: float, maximum_gap_s: float) -> Filter:
+    """Return the filter with room for the current keys (sorted), without those that were not seen for too long."""
+    keep = np.empty(len(f.keys), np.bool_)
+    for k in range(len(keep)):
+        keep[k] = time_s - f.history[k, SEEN_S] <= maximum_gap_s
+    keys, source = merge_keys(f.keys, keep, current)
+    same = len(keys) == len(f.keys)
+    for k in range(len(keys)):
+        same = same and source[k] == k
+    if same:
+        return f
+    x, P = rearrange(f.x, f.P, source, DYNAMIC)
+    history = np.full((len(keys), HISTORY), np.nan)
+    for k in range(len(keys)):
+        if source[k] >= 0:
+            history[k, :] = f.history[source[k]]
+        else:
+            history[k, ARC_EPOCHS] = -1.0  # to be initialised
+            history[k, REJECTS], history[k, SLIPS] = 0.0, 0.0
+    return Filter(x, P, keys, history)
+
+
+@kernel
+def place_of(keys: Indices, key: int) -> int:
+    """Return where a key is in the sorted keys, -1 if it is not there."""
+    low, high = 0, len(keys)
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < len(keys) and keys[low] == key else -1
 
 
 @dataclass(slots=True, eq=False)
 class FilterState:
-    """The mutable state of one filter. ``x`` and ``cov`` are ordered as ``filter`` says; ``keys`` belong to the states from ``dynamic``
-    on.
-    """
+    """What the engine carries of one filter. Mutable. Times in seconds since ``origin``; the model position is the last epoch's."""
 
     origin: GpsTime
-    dynamic: int
-    x: Vector
-    cov: Matrix
+    filter: Filter = field(default_factory=new_filter)
     time_s: float = 0.0
-    keys: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
-    history: Matrix = field(default_factory=lambda: np.zeros((0, HISTORY)))
     base_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
     rover_model_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
     rover_s: float = float("nan")
     base_s: float = float("nan")
 
-    def use_keys(self, current: Indices, maximum_gap_s: float) -> None:
-        """Make room for the current keys (sorted) and forget those that were not seen for too long."""
-        keep = self.time_s - self.history[:, SEEN_S] <= maximum_gap_s
-        keys, source = merge_keys(self.keys, keep, current)
-        if np.array_equal(keys, self.keys):
-            return
-        self.x, self.cov = rearrange(self.x, self.cov, source, self.dynamic)
-        history = np.full((len(keys), HISTORY), np.nan)
-        known = source >= 0
-        history[known] = self.history[source[known]]
-        history[~known, ARC_EPOCHS] = -1.0  # to be initialised
-        history[~known, REJECTS] = 0.0
-        history[~known, SLIPS] = 0.0
-        self.keys, self.history = keys, history
-
-    def place(self, keys: Indices) -> Indices:
-        """Return where these keys (all present) are."""
-        return np.searchsorted(self.keys, keys)
+    @property
+    def rover_ecef_m(self) -> Vector:
+        """Position of the rover's antenna."""
+        return self.base_ecef_m + self.filter.x[:3]
 
     @property
     def baseline_m(self) -> float:
         """Length of the baseline."""
-        return length_m(self.x[:3])
+        return length_m(self.filter.x[:3])
 
 
 def length_m(vector: Vector) -> float:

@@ -1,13 +1,11 @@
 """The screened measurement update: observations from differences, the update, its residuals, what they say of the noise."""
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import SYSTEMS
 from rtkmesh.rtk.filter import (
     AT_AMBIGUITY,
     AT_IONOSPHERE,
@@ -28,9 +26,9 @@ from rtkmesh.rtk.filter import (
     posterior,
     residuals,
 )  # fmt: skip
-from rtkmesh.rtk.noise import CodeScale
+from rtkmesh.rtk.noise import DOF, SQUARES, code_factors, learn_codes
 from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, ELEVATION_RAD, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
-from rtkmesh.rtk.state import FilterState
+from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.velocity import add_velocity
 
 Vector = NDArray[np.float64]
@@ -40,11 +38,11 @@ Indices = NDArray[np.int64]
 CODE_LIMIT: Final = 4.0  # normalised residuals beyond these are left out
 PHASE_LIMIT: Final = 4.5
 _ROUNDS: Final = 8
+_SOLUTIONS: Final = 3  # the last is made with what the second one says of the codes
 _RESCALE: Final = 1.25  # the update is made again when the code's variance factor turns out to be off by this
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Update:
+class Update(NamedTuple):
     """Outcome of an update: residuals (m; of observations left out: predicted ones), which were used, and the fit of the phases."""
 
     ok: bool
@@ -56,8 +54,7 @@ class Update:
     phase_dof: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class Layout(NamedTuple):
     """Where the states of each pair are (rows of the filter's keys, -1: none) and how much its code's variance is inflated."""
 
     ambiguity: Indices
@@ -67,164 +64,149 @@ class Layout:
     code_inflation: Vector
 
 
+class Work(NamedTuple):
+    """The arrays of one update: observations and their places, normal equations, posterior, residuals."""
+
+    observations: Matrix
+    places: Indices
+    N: Matrix
+    b: Vector
+    mean: Matrix
+    P_new: Matrix
+    dx: Vector
+    value: Vector
+    variance: Vector
+
+
 @kernel
-def fill_observations(
-    table: Matrix, direction: Matrix, group: Indices, groups: int, ambiguity: Indices, ionosphere: Indices, zenith: int, slope: int,
-    inflation: Vector, scale: Vector, keyed: Vector, out: Matrix, places: Indices,
-) -> None:  # fmt: skip
-    """Write code (first n rows) and phase (last n rows) observations of n pairs; ``scale`` is the code variance factor per pair,
-    ``keyed`` the keyed part of the state.
-    """
-    n = len(group)
+def update(f: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mps: Vector, velocity_cov_m2ps2: Matrix) -> Update:
+    """Update the filter, in place, by the differences and a velocity (NaN: none); learn the code's noise (``scale``)."""
+    n, states, systems = len(d.pairs.satellite), len(f.x), scale.shape[1]
+    work = Work(
+        np.empty((2 * n, OBSERVATION)), np.empty((2 * n, PLACES), np.int64), np.empty((states, states)), np.empty(states),
+        np.empty((2 * d.pairs.groups, states + 2)), np.empty((states, states)), np.empty(states), np.empty(2 * n), np.empty(2 * n),
+    )  # fmt: skip
+    trial = np.zeros((2, systems))
+    factors = code_factors(scale, trial)
+    ok = False
+    for _ in range(_SOLUTIONS):
+        fill_observations(f, d, layout, factors, work)
+        ok = adjust(f, work, velocity_mps, velocity_cov_m2ps2)
+        if not ok:
+            break
+        code_statistics(d, work, trial)
+        found = code_factors(scale, trial)
+        if not _differ(found, factors):
+            break
+        factors = found
+    for _ in range(_ROUNDS):
+        if not ok or screen(work, n) == 0:
+            break
+        ok = adjust(f, work, velocity_mps, velocity_cov_m2ps2)
+    if ok:
+        code_statistics(d, work, trial)
+        learn_codes(scale, trial)
+        for i in range(states):
+            f.x[i] += work.dx[i]
+            f.P[i, :] = work.P_new[i]
+    return _outcome(ok, work, n)
+
+
+@kernel
+def adjust(f: Filter, work: Work, velocity_mps: Vector, velocity_cov_m2ps2: Matrix) -> bool:
+    """Adjust with the weights as they are; False if the covariance is not positive definite any more."""
+    normal_equations(work.observations, work.places, DYNAMIC, work.mean.shape[0], work.N, work.b, work.mean)
+    add_velocity(f.x, f.P, velocity_mps, velocity_cov_m2ps2, work.N, work.b)
+    if posterior(f.P, work.N, work.b, work.P_new, work.dx) != OK:
+        return False
+    residuals(work.observations, work.places, DYNAMIC, work.mean, work.P_new, work.dx, False, work.value, work.variance)
+    return True
+
+
+@kernel
+def _differ(found: Vector, factors: Vector) -> bool:
+    for k in range(len(factors)):
+        if max(found[k] / factors[k], factors[k] / found[k]) > _RESCALE:
+            return True
+    return False
+
+
+@kernel
+def _outcome(ok: bool, work: Work, n: int) -> Update:
+    """Return residuals and what was used."""
+    code_used, phase_used, chi2, dof = np.empty(n, np.bool_), np.empty(n, np.bool_), 0.0, 0.0
+    for k in range(n):
+        w = work.observations[n + k, W]
+        code_used[k], phase_used[k] = work.observations[k, W] > 0.0, w > 0.0
+        if w > 0.0:
+            chi2 += work.value[n + k] ** 2 * w
+            dof += min(max(work.variance[n + k] * w, 0.0), 1.0)
+    return Update(ok, work.value[:n], work.value[n:], code_used, phase_used, chi2, dof)
+
+
+@kernel
+def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector, work: Work) -> None:
+    """Write code (first n rows) and phase (last n rows) observations of n pairs; ``factors`` are those of code variances per system."""
+    n, table, out, places = len(d.pairs.satellite), d.table, work.observations, work.places
     for k in range(n):
         sin_el = np.sin(table[k, ELEVATION_RAD])
         mapping = 1.001 / np.sqrt(0.002001 + sin_el * sin_el)  # Black and Eisner 1984
+        scale = factors[int(d.pairs.satellite[k]) // 64]
         for part in range(2):
             row = k + part * n
             for i in range(3):
-                out[row, H_X + i] = -direction[k, i]
+                out[row, H_X + i] = -d.rover_direction[k, i]
             out[row, H_ZENITH] = mapping
             out[row, H_IONOSPHERE] = table[k, IONOSPHERE] if part == 0 else -table[k, IONOSPHERE]
             out[row, H_AMBIGUITY] = table[k, WAVELENGTH]
-            places[row, GROUP] = group[k] + part * groups
-            places[row, AT_ZENITH] = zenith
-            places[row, AT_IONOSPHERE] = ionosphere[k]
-            places[row, AT_AMBIGUITY] = ambiguity[k] if part == 1 else -1
+            places[row, GROUP] = d.pairs.group[k] + part * d.pairs.groups
+            places[row, AT_ZENITH] = layout.zenith
+            places[row, AT_IONOSPHERE] = layout.ionosphere[k]
+            places[row, AT_AMBIGUITY] = layout.ambiguity[k] if part == 1 else -1
             out[row, H_SLOPE] = table[k, CHANNEL]
-            places[row, AT_SLOPE] = slope if part == 1 and table[k, CHANNEL] != 0.0 else -1
+            places[row, AT_SLOPE] = layout.slope if part == 1 and table[k, CHANNEL] != 0.0 else -1
             y = table[k, CODE] if part == 0 else table[k, PHASE]
-            variance = table[k, CODE_VARIANCE] * inflation[k] * scale[k] if part == 0 else table[k, PHASE_VARIANCE]
+            variance = table[k, CODE_VARIANCE] * layout.code_inflation[k] * scale if part == 0 else table[k, PHASE_VARIANCE]
             for i in range(4):
                 if places[row, AT_ZENITH + i] >= 0:
-                    y -= out[row, H_ZENITH + i] * keyed[places[row, AT_ZENITH + i]]
-            usable = np.isfinite(y) and np.isfinite(variance) and (part == 0 or ambiguity[k] >= 0)
+                    y -= out[row, H_ZENITH + i] * f.x[DYNAMIC + places[row, AT_ZENITH + i]]
+            usable = np.isfinite(y) and np.isfinite(variance) and (part == 0 or layout.ambiguity[k] >= 0)
             out[row, Y] = y if usable else 0.0
             out[row, W] = 1.0 / variance if usable else 0.0
 
 
 @kernel
-def code_statistics(
-    observations: Matrix, value: Vector, variance: Vector, table: Matrix, system: Indices, squares: Vector, dof: Vector
-) -> None:
-    """Add up, per system, squared code residuals normalised by the sigma for a factor of 1, and their redundancy."""
-    squares[:] = 0.0
-    dof[:] = 0.0
-    for k in range(len(system)):
-        w = observations[k, W]
+def code_statistics(d: Differences, work: Work, out: Matrix) -> None:
+    """Write, per system, sums of squared code residuals normalised by the sigma for a factor of 1, and their redundancy."""
+    out[:, :] = 0.0
+    for k in range(len(d.pairs.satellite)):
+        w, system = work.observations[k, W], int(d.pairs.satellite[k]) // 64
         if not w > 0.0:
             continue
-        redundancy = min(max(variance[k] * w, 0.0), 1.0)
-        squares[system[k]] += min(value[k] ** 2 / table[k, CODE_VARIANCE], 60.0 * redundancy)
-        dof[system[k]] += redundancy
+        redundancy = min(max(work.variance[k] * w, 0.0), 1.0)
+        out[SQUARES, system] += min(work.value[k] ** 2 / d.table[k, CODE_VARIANCE], 60.0 * redundancy)
+        out[DOF, system] += redundancy
 
 
 @kernel
-def screen(observations: Matrix, places: Indices, value: Vector, variance: Vector, count: int, limits: Vector) -> int:
+def screen(work: Work, count: int) -> int:
     """Put aside (negative weight) the worst observation of each group that is beyond its limit, if it is not far better than the worst
     of all; return how many. The first ``count`` rows are codes.
     """
-    worst = 0.0
-    ratio = np.zeros(observations.shape[0])
+    observations, groups = work.observations, work.mean.shape[0]
+    ratio, best, worst = np.zeros(observations.shape[0]), np.full(groups, -1, np.int64), 0.0
     for k in range(observations.shape[0]):
         w = observations[k, W]
-        if w > 0.0 and variance[k] > 0.01 / w:
-            ratio[k] = abs(value[k]) / np.sqrt(variance[k]) / limits[0 if k < count else 1]
-            worst = max(worst, ratio[k])
-    if worst <= 1.0:
-        return 0
-    put_aside = 0
-    for k in range(observations.shape[0]):
-        if ratio[k] < 1.0 or ratio[k] < 0.5 * worst:
+        if not (w > 0.0 and work.variance[k] > 0.01 / w):
             continue
-        best_of_group = True
-        for j in range(observations.shape[0]):
-            if places[j, GROUP] == places[k, GROUP] and (ratio[j] > ratio[k] or (ratio[j] == ratio[k] and j < k)):
-                best_of_group = False
-        if best_of_group:
+        ratio[k] = abs(work.value[k]) / np.sqrt(work.variance[k]) / (CODE_LIMIT if k < count else PHASE_LIMIT)
+        worst = max(worst, ratio[k])
+        group = work.places[k, GROUP]
+        if best[group] < 0 or ratio[k] > ratio[best[group]]:
+            best[group] = k
+    put_aside = 0
+    for k in best:
+        if k >= 0 and ratio[k] > 1.0 and ratio[k] >= 0.5 * worst:
             observations[k, W] = -observations[k, W]
             put_aside += 1
     return put_aside
-
-
-def update(
-    state: FilterState, differences: Differences, layout: Layout, scale: CodeScale, velocity: tuple[Vector, Matrix] | None
-) -> Update:  # fmt: skip
-    """Update the state by the differences (and a velocity, m/s with covariance, in moving modes); learn the code's noise."""
-    work = _Work(state, differences, layout, velocity)
-    factors = scale.factors()
-    ok = work.solve(factors)
-    trial = scale.trial(*work.statistics())
-    if ok and _differ(trial, factors):
-        ok = work.solve(trial)
-        trial = scale.trial(*work.statistics())
-        if _differ(trial, factors):
-            ok = work.solve(trial)
-    for _ in range(_ROUNDS):
-        if not ok or work.screen() == 0:
-            break
-        ok = work.adjust()
-    if ok:
-        scale.learn(*work.statistics())
-        state.x = state.x + work.dx
-        state.cov = work.P_new
-    return work.outcome(ok)
-
-
-def _differ(trial: Vector, factors: Vector) -> bool:
-    return bool((np.maximum(trial / factors, factors / trial) > _RESCALE).any())
-
-
-class _Work:
-    """The arrays of one update."""
-
-    def __init__(self, state: FilterState, differences: Differences, layout: Layout, velocity: tuple[Vector, Matrix] | None) -> None:
-        n, states = len(differences.pairs), len(state.x)
-        self.state, self.differences, self.layout, self.velocity = state, differences, layout, velocity
-        self.count, self.groups = n, differences.pairs.groups
-        self.system = (differences.pairs.satellite // 64).astype(np.int64)
-        self.observations, self.places = np.empty((2 * n, OBSERVATION)), np.empty((2 * n, PLACES), np.int64)
-        self.N, self.b = np.empty((states, states)), np.empty(states)
-        self.mean = np.empty((2 * self.groups, states + 2))
-        self.P_new, self.dx = np.empty((states, states)), np.empty(states)
-        self.value, self.variance = np.empty(2 * n), np.empty(2 * n)
-
-    def solve(self, factors: Vector) -> bool:
-        """Set up the observations with these code factors and adjust."""
-        layout, d = self.layout, self.differences
-        fill_observations(
-            d.table, d.rover_direction, d.pairs.group, self.groups, layout.ambiguity, layout.ionosphere, layout.zenith, layout.slope,
-            layout.code_inflation, factors[self.system], self.state.x[self.state.dynamic :], self.observations, self.places,
-        )  # fmt: skip
-        return self.adjust()
-
-    def adjust(self) -> bool:
-        """Adjust with the weights as they are; False if the covariance is not positive definite any more."""
-        dynamic = self.state.dynamic
-        normal_equations(self.observations, self.places, dynamic, 2 * self.groups, self.N, self.b, self.mean)
-        if self.velocity is not None:
-            add_velocity(self.state.x, self.state.cov, *self.velocity, self.N, self.b)
-        if posterior(self.state.cov, self.N, self.b, self.P_new, self.dx) != OK:
-            return False
-        residuals(self.observations, self.places, dynamic, self.mean, self.P_new, self.dx, False, self.value, self.variance)
-        return True
-
-    def statistics(self) -> tuple[Vector, Vector]:
-        """Return sums of squares and degrees of freedom of the codes per system."""
-        squares, dof = np.zeros(len(SYSTEMS)), np.zeros(len(SYSTEMS))
-        code_statistics(self.observations, self.value, self.variance, self.differences.table, self.system, squares, dof)
-        return squares, dof
-
-    def screen(self) -> int:
-        """Put aside what does not fit; return how many."""
-        return screen(self.observations, self.places, self.value, self.variance, self.count, _LIMITS)
-
-    def outcome(self, ok: bool) -> Update:
-        """Return residuals and what was used."""
-        n, used = self.count, self.observations[:, W] > 0.0
-        phase, w = used[n:], self.observations[n:, W]
-        redundancy = np.minimum(np.maximum(self.variance[n:][phase] * w[phase], 0.0), 1.0)
-        chi2 = float(np.sum(self.value[n:][phase] ** 2 * w[phase]))
-        return Update(ok, self.value[:n], self.value[n:], used[:n], phase, chi2, float(np.sum(redundancy)))
-
-
-_LIMITS = np.array((CODE_LIMIT, PHASE_LIMIT))

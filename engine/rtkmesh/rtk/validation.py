@@ -5,31 +5,36 @@ independent witness: every epoch the free search and the float solution can spea
 when what is held determines them. All thresholds are log odds (see ``ambiguity.log_odds``), so they adapt to the strength of the model.
 """
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from math import exp, inf, log, sqrt
-from typing import Final
+from math import exp, inf, isfinite, log, nan, sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.ambiguity import (
     NODE_LIMIT,
     PRIOR_DOF,
-    choose_references,
+    Candidates,
+    Search,
+    add_constraints,
     compare_integers,
     condition,
     held_differences,
     held_references,
     log_odds,
     pack_pairs,
+    pairs_of,
+    search,
     search_pairs,
+    take,
 )
+from rtkmesh.rtk.filter import posterior
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions
 from rtkmesh.rtk.solution import Reason
-from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, INTEGER, SLOPE_KEY, FilterState, length_m
+from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, DYNAMIC, INTEGER, SLOPE_KEY, STREAK, Filter, place_of
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -40,7 +45,7 @@ ACCEPT_AFTER_STREAK: Final = 5.0  # log odds for a fix from a row of searches wi
 STREAK_S: Final = 10.0
 WEAK_STREAK_S: Final = 30.0  # with few ambiguities: code multipath must have changed in between
 WEAK_COUNT: Final = 8
-STREAK_EPOCHS: Final = 5
+STREAK_EPOCHS_LEAST: Final = 5
 RELEASE: Final = 5.0  # log odds of another vector against the held one at which doubt counts
 RELEASE_EPOCHS: Final = 3
 NORM_LIMIT: Final = 8.0  # squared norm per ambiguity that honest float solutions do not exceed
@@ -49,394 +54,451 @@ JOIN_TRIES: Final = 4  # all of the new ones, then without the newer, at last th
 SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geodesy 86:139-148: up to 25 mm on L1)
 SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 PREDICTION_LIMIT_M: Final = 0.05  # by how much a fix may leave the prediction, beyond 4 sigma of both
-CONSTRAINED_CANDIDATES: Final = 40  # how many candidates a known length chooses from
 LARGE_COUNT: Final = 24
 SEARCH_EVERY: Final = 5  # epochs between free searches of a large set that has been confirmed
-GLONASS_VOTES: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
+GLONASS_EPOCHS: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
 FIX_SIGMA_M: Final = 0.30  # a fix must be this good, or too few of its ambiguities are known
 STRONG_COUNT: Final = 20  # with so many ambiguities that fit, ACCEPT_MANY is enough: their norm is a test in itself
 ACCEPT_MANY: Final = 5.5
 SURE: Final = 11.0  # log odds from which a new fix is shown at once; with less it must be confirmed
 CONFIRMATIONS: Final = 3
 SUBSET_TRIES: Final = 8
+NEW_S: Final = (0.0, 5.0, 20.0)  # subsets leave out what is younger
+
+# Reasons as numbers, for kernels.
+FIX_OK, FEW_AMBIGUITIES, NOT_SURE, TOO_UNCERTAIN, NOT_VALID = (int(reason) for reason in (
+    Reason.OK, Reason.FEW_AMBIGUITIES, Reason.RATIO, Reason.FLOAT_TOO_UNCERTAIN, Reason.VALIDATION
+))  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """The ambiguities of this epoch that may become integers; all columns go together.
+# What is remembered of one filter from epoch to epoch, in the memory of ``resolve``. SLOPE and SLOPE_SIGMA (m) are those of GLONASS phase
+# biases per channel; LAST_* are numbers of the last free search; truth values are 0.0 and 1.0.
+(
+    STREAK_START_S, STREAK_EPOCHS, DOUBTS, HELD_SINCE_S, CONFIRMED, SHOWN, SINCE_SEARCH, TRUSTS_GLONASS, GLONASS_VOTES, SLOPE, SLOPE_SIGMA,
+    LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS,
+) = range(16)  # fmt: skip
+MEMORY: Final = 16
 
-    ``row`` is the place in the filter's keys, ``group`` the clock group, ``weight`` says which makes the better reference.
+
+class ResolveSetup(NamedTuple):
+    """Options of ambiguity resolution for kernels; ``confidence`` is the factor on log odds, ``length_m`` NaN where it is not known.
+
+    With ``hold_after`` >= 0 the filter is told of integers that as many searches have confirmed, with this variance (cycles squared).
     """
 
-    row: Indices
-    group: Indices
-    satellite: Indices
-    weight: Vector
-
-    def take(self, mask: NDArray[np.bool_]) -> "Candidates":
-        """Return those of the mask."""
-        return Candidates(self.row[mask], self.group[mask], self.satellite[mask], self.weight[mask])
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """Where the last fix and time differences of the phase put the baseline (m, ECEF), and how sure that is (one sigma)."""
-
-    baseline_ecef_m: Vector
-    sigma_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class LengthConstraint:
-    """Known length of the baseline (m) and its sigma."""
-
+    confidence: float
+    minimum_ambiguities: int
     length_m: float
-    sigma_m: float
+    length_sigma_m: float
+    hold_variance_cyc2: float
+    hold_after: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Search:
-    """Result of one free search: (state, reference) pairs, their integers, and how sure they are.
+class Resolution(NamedTuple):
+    """What ambiguity resolution gave in one epoch. ``x`` and ``P`` are the fixed dynamic states, if ``fixed``."""
 
-    ``values`` goes with the filter's keys: the integers with that of each group's reference set to 0, NaN for keys not in the search.
-    """
-
-    pairs: Indices
-    integers: Vector
-    values: Vector
-    norm: float
-    second: float
-    success: float
+    reason: int
+    fixed: bool
+    x: Vector
+    P: Matrix
+    ratio: float
     odds: float
-    resolved: bool
-
-    @property
-    def ratio(self) -> float:
-        """Second-best over best squared norm."""
-        return min(self.second / max(self.norm, 1e-9), 9999.9) if self.second < inf else 0.0
+    threshold: float
+    success: float
+    count: int
+    grade: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Resolution:
-    """What ambiguity resolution gave in one epoch. ``x`` and ``P`` are the fixed dynamic states; None without a fix."""
-
-    reason: Reason
-    x: Vector | None = None
-    P: Matrix | None = None
-    pairs: Indices | None = None
-    integers: Vector | None = None
-    ratio: float = 0.0
-    odds: float = 0.0
-    threshold: float = 0.0
-    success: float = 0.0
-    count: int = 0
-    grade: int = 0
+def resolve_setup(options: AmbiguityOptions, length_m: float | None, length_sigma_m: float) -> ResolveSetup:
+    """Return the options for kernels; ``length_m`` is the known length of the baseline."""
+    after = options.hold_after_epochs if options.mode is AmbiguityMode.FIX_AND_HOLD else -1
+    return ResolveSetup(
+        confidence(options.ratio), options.minimum_ambiguities, nan if length_m is None else length_m, length_sigma_m,
+        options.hold_variance_cyc2, after,
+    )  # fmt: skip
 
 
-class Validation:
-    """The memory of validated integers of one filter. Mutable."""
-
-    def __init__(self, options: AmbiguityOptions, constraint: LengthConstraint | None = None) -> None:
-        self.options = options
-        self._constraint = constraint
-        self._confidence = confidence(options.ratio)
-        self._streak_start_s = inf
-        self._streak_epochs = 0
-        self._streak_keys: Indices = np.zeros(0, np.int64)
-        self._streak_values: Vector = np.zeros(0)
-        self._doubts = 0
-        self._held_since_s = inf
-        self._confirmed = 0
-        self._shown = False
-        self._since_search = 0
-        self._last: Search | None = None
-        self._glonass = False
-        self._glonass_votes = 0
-        self.slope = (0.0, SLOPE_SIGMA_M)  # of GLONASS phase biases per channel, and its sigma
-
-    def reset(self) -> None:
-        """Forget the integers; what was learned of GLONASS belongs to the receivers and stays."""
-        glonass, slope = self._glonass, self.slope
-        self.__init__(self.options, self._constraint)
-        self._glonass, self.slope = glonass, slope
-
-    def resolve(self, state: FilterState, candidates: Candidates, prediction: Prediction | None = None) -> Resolution:
-        """Find or keep integers for this epoch."""
-        if self.options.mode is AmbiguityMode.OFF:
-            return Resolution(Reason.AMBIGUITY_OFF)
-        everything = candidates
-        if not self._glonass:
-            candidates = everything.take(everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
-        held_pairs = _pairs(state, _held(state, everything))
-        free = self._free_search(state, candidates, len(held_pairs))
-        if len(held_pairs) >= 3:
-            self._watch(state, held_pairs, free)
-            held_pairs = _pairs(state, _held(state, everything))
-        if len(held_pairs) < 3:
-            self._try_new(state, candidates, everything, free)
-        else:
-            self._join(state, candidates, held_pairs)
-            self._learn_glonass(state, everything, held_pairs)
-        return self._fix(state, everything, free, prediction)
-
-    def _free_search(self, state: FilterState, candidates: Candidates, held: int) -> Search:
-        """Search without regard to what is held; of a large set that has proven itself only every few epochs.
-
-        In between the last search's numbers stand for it, not resolved.
-        """
-        trusted = held >= LARGE_COUNT and self._confirmed >= STREAK_EPOCHS and self._doubts == 0
-        if trusted and self._since_search < SEARCH_EVERY and self._last is not None:
-            self._since_search += 1
-            return replace(self._last, resolved=False)
-        self._since_search, self._last = 1, self._search(state, candidates)
-        return self._last
-
-    def _try_new(self, state: FilterState, candidates: Candidates, everything: Candidates, free: Search) -> None:
-        """Look for integers without any that are held."""
-        _release(state)
-        self._held_since_s = inf
-        best, wide, level = free, free, state
-        if not self._strong(best, 0.0) and len(candidates) > 1:
-            searches = [free, *self._subsets(state, candidates)]
-            if len(everything) > len(candidates):
-                level = _without_slope(state)
-                wide = max(self._search(state, everything), flat := self._search(level, everything), key=lambda search: search.odds)
-                level = level if wide is flat else state
-                searches.append(wide)
-            best = max(searches, key=lambda search: search.odds)
-        if not best.resolved or len(best.pairs) < self.options.minimum_ambiguities:
-            self._streak_epochs = 0
-            return
-        self._follow(state, best)
-        penalty = 0.0 if best is free else log(SUBSET_TRIES)
-        lasting_s = STREAK_S if len(best.pairs) >= WEAK_COUNT else WEAK_STREAK_S
-        persistent = self._streak_epochs >= STREAK_EPOCHS and state.time_s - self._streak_start_s >= lasting_s
-        if self._strong(best, penalty) or (persistent and best.odds >= self._confidence * ACCEPT_AFTER_STREAK + penalty):
-            if best.norm > NORM_LIMIT * len(best.pairs):
-                return
-            if best is wide and wide is not free:  # the slope that GLONASS fits with is known now
-                state.x, state.cov, self._glonass = level.x, level.cov, True
-            _hold(state, best.pairs, best.integers)
-            self._held_since_s, self._doubts, self._confirmed = state.time_s, 0, 0
-            self._shown = best.odds >= self._confidence * SURE or len(best.pairs) >= STRONG_COUNT
-
-    def _learn_glonass(self, state: FilterState, everything: Candidates, held_pairs: Indices) -> None:
-        """Trust GLONASS integers once they agree with those of the others, with a slope that fits; remember the slope."""
-        slope = int(state.keys.searchsorted(SLOPE_KEY))
-        if slope == len(state.keys) or state.keys[slope] != SLOPE_KEY:
-            return
-        if np.count_nonzero(everything.satellite // SATELLITES_PER_SYSTEM == GLONASS) < 3:
-            return
-        if self._glonass:
-            x, P = np.empty(1), np.empty((1, 1))
-            condition(state.x, state.cov, held_pairs, _held_integers(state, held_pairs), 0.0, np.full(1, state.dynamic + slope), x, P)
-            self.slope = (float(x[0]), sqrt(max(float(P[0, 0]), 0.0)) + SLOPE_CHANGE_M)
-            return
-        wide = self._search(state, everything)
-        fits = wide.resolved and wide.odds >= self._confidence * ACCEPT_AT_ONCE and wide.norm <= NORM_LIMIT * len(wide.pairs)
-        if not fits or compare_integers(state.keys, state.history[:, INTEGER].copy(), state.keys, wide.values)[1] > 0:
-            self._glonass_votes = 0
-            return
-        self._glonass_votes += 1
-        if self._glonass_votes >= GLONASS_VOTES:
-            self._glonass = True
-
-    def _strong(self, search: Search, penalty: float) -> bool:
-        count = len(search.pairs)
-        if not search.resolved or count < self.options.minimum_ambiguities:
-            return False
-        many = count >= STRONG_COUNT and search.norm <= 0.25 * NORM_LIMIT * count
-        return search.odds >= self._confidence * (ACCEPT_MANY if many else ACCEPT_AT_ONCE) + penalty
-
-    def _follow(self, state: FilterState, search: Search) -> None:
-        """Count for how long searches have given the same integers."""
-        common, different = compare_integers(self._streak_keys, self._streak_values, state.keys, search.values)
-        if different > 0 or common < 3:
-            self._streak_start_s, self._streak_epochs = state.time_s, 0
-        self._streak_epochs += 1
-        self._streak_keys, self._streak_values = state.keys, search.values
-
-    def _watch(self, state: FilterState, pairs: Indices, free: Search) -> None:
-        """Let the float solution speak against what is held; release it when the doubt lasts."""
-        integers = _held_integers(state, pairs)
-        norm = condition(state.x, state.cov, pairs, integers, 0.0, _NOTHING, _NO_VECTOR, _NO_MATRIX)
-        doubt = norm > NORM_LIMIT * len(pairs) * 2.0
-        if free.resolved:
-            other = free.values[pairs[:, 0] - state.dynamic] - free.values[pairs[:, 1] - state.dynamic]
-            if np.array_equal(other, integers):
-                self._confirmed += 1
-                self._shown = self._shown or (self._confirmed >= CONFIRMATIONS and free.odds >= self._confidence * ACCEPT_AFTER_STREAK)
-            else:
-                best = condition(state.x, state.cov, pairs, other, 0.0, _NOTHING, _NO_VECTOR, _NO_MATRIX)
-                doubt = doubt or log_odds(best, norm, len(pairs)) > RELEASE
-        self._note(state, doubt)
-
-    def _note(self, state: FilterState, doubt: bool) -> None:
-        """Count doubts in a row; release what is held when they last."""
-        self._doubts = self._doubts + 1 if doubt else max(self._doubts - 1, 0)
-        if self._doubts >= RELEASE_EPOCHS:
-            _release(state)
-            self._doubts, self._streak_epochs, self._glonass, self._glonass_votes, self._shown = 0, 0, False, 0, False
-
-    def _join(self, state: FilterState, candidates: Candidates, held_pairs: Indices) -> None:
-        """Give integers to ambiguities that the held ones determine."""
-        history = state.history
-        known = np.isfinite(history[candidates.row, INTEGER])
-        new = candidates.take(~known & (history[candidates.row, ARC_EPOCHS] >= 1.0))
-        if len(new) == 0:
-            return
-        held = candidates.take(known)
-        nearest = np.empty(len(new), np.int64)
-        if held_references(new.group, held.group, held.weight, nearest) == 0:
-            return
-        usable = nearest >= 0
-        rows, reference = new.row[usable], held.row[nearest[usable]]
-        pairs, wanted = np.column_stack((rows, reference)) + state.dynamic, np.empty(2 * len(rows), np.int64)
-        wanted = wanted[: pack_pairs(pairs, wanted)]
-        x, P = np.empty(len(wanted)), np.empty((len(wanted), len(wanted)))
-        norm = condition(state.x, state.cov, held_pairs, _held_integers(state, held_pairs), 0.0, wanted, x, P)
-        if norm == inf:
-            return
-        scale = max(1.0, norm / len(held_pairs))
-        age = history[rows, ARC_EPOCHS]
-        ages = sorted(set(age.tolist()))
-        for k in _spread(len(ages)):
-            old = age >= ages[k]
-            fixed, norms = np.zeros((2, np.count_nonzero(old))), np.zeros(2)
-            status, _ = search_pairs(x, P, pairs[old], NODE_LIMIT, fixed, norms)
-            if status == OK and norms[1] - norms[0] >= 2.0 * JOIN_ODDS * scale and norms[0] <= NORM_LIMIT * scale * len(fixed[0]):
-                history[rows[old], INTEGER] = history[reference[old], INTEGER] + fixed[0]
-                return
-
-    def _fix(self, state: FilterState, candidates: Candidates, free: Search, prediction: Prediction | None) -> Resolution:
-        """Return the state that follows from what is held now."""
-        pairs = _pairs(state, _held(state, candidates))
-        threshold = _ratio_for(len(free.pairs), self._confidence * ACCEPT_AT_ONCE)
-
-        def unfixed(reason: Reason) -> Resolution:
-            return Resolution(reason, ratio=free.ratio, odds=free.odds, success=free.success, threshold=threshold)
-
-        if len(pairs) < 4:
-            return unfixed(Reason.FEW_AMBIGUITIES if len(free.pairs) < self.options.minimum_ambiguities else Reason.RATIO)
-        x, P = np.empty(state.dynamic), np.empty((state.dynamic, state.dynamic))
-        integers = _held_integers(state, pairs)
-        norm = condition(state.x, state.cov, pairs, integers, 0.0, np.arange(state.dynamic), x, P)
-        if norm == inf or norm > 2.0 * NORM_LIMIT * len(pairs) or self._doubts > 0 or not self._shown:
-            return unfixed(Reason.VALIDATION)
-        if P[0, 0] + P[1, 1] + P[2, 2] > FIX_SIGMA_M**2:
-            return unfixed(Reason.FLOAT_TOO_UNCERTAIN)
-        if prediction is not None:
-            limit_m = PREDICTION_LIMIT_M + 4.0 * (prediction.sigma_m + sqrt(P[0, 0] + P[1, 1] + P[2, 2]))
-            if length_m(x[:3] - prediction.baseline_ecef_m) > limit_m:
-                self._note(state, True)
-                return unfixed(Reason.VALIDATION)
-        grade = 1 + (self._confirmed > 0) + (self._confirmed >= STREAK_EPOCHS and state.time_s - self._held_since_s >= STREAK_S)
-        return Resolution(
-            Reason.OK, x, P, pairs, integers, ratio=free.ratio, odds=free.odds, threshold=threshold, success=free.success,
-            count=len(pairs), grade=int(grade),
-        )  # fmt: skip
-
-    @property
-    def confirmations(self) -> int:
-        """How many free searches have agreed with what is held."""
-        return self._confirmed
-
-    def _subsets(self, state: FilterState, candidates: Candidates) -> list[Search]:
-        """Search without the newest ambiguities, and without each of the weakest satellites in turn."""
-        age = state.time_s - state.history[candidates.row, ARC_S]
-        masks = [age > 0.0, age > 5.0, age > 20.0]
-        satellites, first = np.unique(candidates.satellite, return_index=True)
-        order = np.argsort(candidates.weight[first], kind="stable")
-        masks += [candidates.satellite != satellites[k] for k in order[: SUBSET_TRIES - len(masks)]]
-        return [self._search(state, candidates.take(mask)) for mask in masks if 4 < mask.sum() < len(mask)]
-
-    def _search(self, state: FilterState, candidates: Candidates) -> Search:
-        """Search the integers of all double differences of the candidates."""
-        pairs, values = _pairs(state, candidates), np.full(len(state.keys), np.nan)
-        if len(pairs) == 0:
-            return Search(pairs, np.zeros(0), values, inf, inf, 0.0, -inf, False)
-        count = 2 if self._constraint is None else CONSTRAINED_CANDIDATES
-        fixed, norms = np.zeros((count, len(pairs))), np.zeros(count)
-        status, success = search_pairs(state.x, state.cov, pairs, NODE_LIMIT, fixed, norms)
-        if status != OK:
-            return Search(pairs, fixed[0], values, inf, inf, success, -inf, False)
-        first, second = 0, 1
-        if self._constraint is not None:
-            norms = norms + _length_norms(state, pairs, fixed, self._constraint)
-            first, second = np.argsort(norms, kind="stable")[:2].tolist()
-        values[pairs[:, 1] - state.dynamic] = 0.0
-        values[pairs[:, 0] - state.dynamic] = fixed[first]
-        odds = log_odds(norms[first], norms[second], len(pairs))
-        return Search(pairs, fixed[first], values, float(norms[first]), float(norms[second]), success, odds, True)
+def new_memory() -> Vector:
+    """Return the memory of a filter that has resolved nothing."""
+    memory = np.zeros(MEMORY)
+    memory[SLOPE_SIGMA] = SLOPE_SIGMA_M
+    forget(memory)
+    return memory
 
 
-_NOTHING = np.zeros(0, np.int64)
-_NO_VECTOR = np.zeros(0)
-_NO_MATRIX = np.zeros((0, 0))
+def forget(memory: Vector) -> None:
+    """Forget the integers; what was learned of GLONASS belongs to the receivers and stays."""
+    kept = memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]]
+    memory[:] = 0.0
+    memory[[STREAK_START_S, HELD_SINCE_S]] = inf
+    memory[LAST_COUNT] = -1.0
+    memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]] = kept
 
 
-def _held(state: FilterState, candidates: Candidates) -> Candidates:
-    return candidates.take(np.isfinite(state.history[candidates.row, INTEGER]))
+def not_resolved(reason: Reason) -> Resolution:
+    """Return the resolution of an epoch in which no integers were looked for."""
+    return Resolution(reason, False, np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), 0.0, 0.0, 0.0, 0.0, 0, 0)
 
 
-def _without_slope(state: FilterState) -> FilterState:
-    """Return the state under the hypothesis that GLONASS phases have no slope (receivers of one make)."""
-    slope = int(np.searchsorted(state.keys, SLOPE_KEY))
-    if slope == len(state.keys) or state.keys[slope] != SLOPE_KEY:
-        return state
-    i = state.dynamic + slope
-    gain = state.cov[:, i] / state.cov[i, i]
-    P = state.cov - np.outer(gain, state.cov[i])
-    P[i, :], P[:, i] = 0.0, 0.0
-    P[i, i] = SLOPE_CHANGE_M**2
-    x = state.x - gain * state.x[i]
-    x[i] = 0.0
-    return replace(state, x=x, cov=P)
+@kernel
+def resolve(f: Filter, everything: Candidates, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float) -> Resolution:
+    """Find or keep integers for this epoch; ``prediction`` is where the last fix and time differences of the phase put the baseline (m,
+    ECEF) and its sigma, NaN without.
+    """
+    candidates = everything if memory[TRUSTS_GLONASS] > 0.0 else take(everything, everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
+    held = pairs_of(take(everything, _is_held(f, everything)))
+    free = _free_search(f, candidates, len(held), memory, setup)
+    if len(held) >= 3:
+        _watch(f, held, free, memory, setup)
+        held = pairs_of(take(everything, _is_held(f, everything)))
+    if len(held) < 3:
+        _try_new(f, candidates, everything, free, memory, setup, time_s)
+    else:
+        _join(f, candidates, held)
+        _learn_glonass(f, everything, held, memory, setup)
+    return _fix(f, everything, free, memory, setup, prediction, time_s)
 
 
-@lru_cache(maxsize=64)
-def _spread(count: int) -> list[int]:
-    """Return up to JOIN_TRIES places spread evenly over so many."""
-    return sorted(set(np.linspace(0, count - 1, JOIN_TRIES).astype(np.intp).tolist()))
-
-
-def _pairs(state: FilterState, candidates: Candidates) -> Indices:
-    """Return (state, reference) of all double differences that the candidates form."""
-    out = np.empty((len(candidates), 2), np.int64)
-    n = choose_references(candidates.row + state.dynamic, candidates.group, candidates.weight, out)
-    return out[:n].copy()
-
-
-def _length_norms(state: FilterState, pairs: Indices, fixed: Matrix, constraint: LengthConstraint) -> Vector:
-    """Return per candidate the squared misfit of the baseline's length, in sigmas of length and candidate together."""
-    out = np.empty(len(fixed))
-    x, P = np.empty(3), np.empty((3, 3))
-    for k, integers in enumerate(fixed):
-        condition(state.x, state.cov, pairs, integers, 0.0, np.arange(3), x, P)
-        length = float(np.linalg.norm(x))
-        unit = x / max(length, 1e-6)
-        out[k] = (length - constraint.length_m) ** 2 / (constraint.sigma_m**2 + float(unit @ P @ unit))
+@kernel
+def _is_held(f: Filter, candidates: Candidates) -> NDArray[np.bool_]:
+    out = np.empty(len(candidates.row), np.bool_)
+    for k in range(len(out)):
+        out[k] = isfinite(f.history[candidates.row[k], INTEGER])
     return out
 
 
-def _held_integers(state: FilterState, pairs: Indices) -> Vector:
-    return held_differences(state.history, INTEGER, pairs, state.dynamic)
+@kernel
+def _free_search(f: Filter, candidates: Candidates, held: int, memory: Vector, setup: ResolveSetup) -> Search:
+    """Search without regard to what is held; of a large set that has proven itself only every few epochs.
+
+    In between the last search's numbers stand for it, not resolved.
+    """
+    trusted = held >= LARGE_COUNT and memory[CONFIRMED] >= STREAK_EPOCHS_LEAST and memory[DOUBTS] == 0.0
+    if trusted and memory[SINCE_SEARCH] < SEARCH_EVERY and memory[LAST_COUNT] >= 0.0:
+        memory[SINCE_SEARCH] += 1.0
+        pairs, none = np.empty((int(memory[LAST_COUNT]), 2), np.int64), np.empty(0)
+        return Search(pairs, none, none, memory[LAST_NORM], memory[LAST_SECOND], memory[LAST_SUCCESS], memory[LAST_ODDS], False)
+    found = search(f, candidates, setup.length_m, setup.length_sigma_m)
+    memory[SINCE_SEARCH], memory[LAST_COUNT] = 1.0, float(len(found.pairs))
+    memory[LAST_NORM], memory[LAST_SECOND], memory[LAST_SUCCESS], memory[LAST_ODDS] = found.norm, found.second, found.success, found.odds
+    return found
 
 
-def _hold(state: FilterState, pairs: Indices, integers: Vector) -> None:
+@kernel
+def _try_new(
+    f: Filter, candidates: Candidates, everything: Candidates, free: Search, memory: Vector, setup: ResolveSetup, time_s: float
+) -> None:
+    """Look for integers without any that are held."""
+    _release(f)
+    memory[HELD_SINCE_S] = np.inf
+    best, level, penalty, wide = free, f, 0.0, False
+    if not _strong(best, 0.0, setup) and len(candidates.row) > 1:
+        other = _best_subset(f, candidates, setup, time_s)
+        if other.odds > best.odds:
+            best, penalty = other, log(SUBSET_TRIES)
+        if len(everything.row) > len(candidates.row):
+            flat = without_slope(f)
+            sloped, straight = _search(f, everything, setup), _search(flat, everything, setup)
+            with_glonass = straight if straight.odds > sloped.odds else sloped
+            if with_glonass.odds > best.odds:
+                best, penalty, wide = with_glonass, log(SUBSET_TRIES), True
+                level = flat if straight.odds > sloped.odds else f
+    if not best.resolved or len(best.pairs) < setup.minimum_ambiguities:
+        memory[STREAK_EPOCHS] = 0.0
+        return
+    _follow(f, best, memory, time_s)
+    lasting_s = STREAK_S if len(best.pairs) >= WEAK_COUNT else WEAK_STREAK_S
+    persistent = memory[STREAK_EPOCHS] >= STREAK_EPOCHS_LEAST and time_s - memory[STREAK_START_S] >= lasting_s
+    likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty
+    if not (likely or _strong(best, penalty, setup)) or best.norm > NORM_LIMIT * len(best.pairs):
+        return
+    if wide:  # the slope that GLONASS fits with is known now
+        f.x[:], f.P[:, :] = level.x, level.P
+        memory[TRUSTS_GLONASS] = 1.0
+    _hold(f, best)
+    memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED] = time_s, 0.0, 0.0
+    memory[SHOWN] = 1.0 if best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
+
+
+@kernel
+def _search(f: Filter, candidates: Candidates, setup: ResolveSetup) -> Search:
+    return search(f, candidates, setup.length_m, setup.length_sigma_m)
+
+
+@kernel
+def _best_subset(f: Filter, candidates: Candidates, setup: ResolveSetup, time_s: float) -> Search:
+    """Search without the newest ambiguities, and without each of the weakest satellites in turn; return the one with the best odds."""
+    n = len(candidates.row)
+    best, mask, tries = search(f, take(candidates, np.zeros(n, np.bool_)), setup.length_m, setup.length_sigma_m), np.empty(n, np.bool_), 0
+    for age_s in NEW_S:
+        for k in range(n):
+            mask[k] = time_s - f.history[candidates.row[k], ARC_S] > age_s
+        best = _better(f, candidates, mask, best, setup)
+        tries += 1
+    left = np.ones(n, np.bool_)  # satellites that have not been left out yet
+    while tries < SUBSET_TRIES:
+        weakest = -1
+        for k in range(n):
+            first = k == 0 or candidates.satellite[k] != candidates.satellite[k - 1]
+            if left[k] and first and (weakest < 0 or candidates.weight[k] < candidates.weight[weakest]):
+                weakest = k
+        if weakest < 0:
+            break
+        for k in range(n):
+            mask[k] = candidates.satellite[k] != candidates.satellite[weakest]
+        left[weakest] = False
+        best = _better(f, candidates, mask, best, setup)
+        tries += 1
+    return best
+
+
+@kernel
+def _better(f: Filter, candidates: Candidates, mask: NDArray[np.bool_], best: Search, setup: ResolveSetup) -> Search:
+    """Return the search of a subset (no less than five, not all) if its odds are better."""
+    count = 0
+    for kept in mask:
+        count += 1 if kept else 0
+    if not 4 < count < len(mask):
+        return best
+    found = _search(f, take(candidates, mask), setup)
+    return found if found.odds > best.odds else best
+
+
+@kernel
+def without_slope(f: Filter) -> Filter:
+    """Return the filter under the hypothesis that GLONASS phases have no slope (receivers of one make)."""
+    slope = place_of(f.keys, SLOPE_KEY)
+    if slope < 0:
+        return f
+    n, i = len(f.x), DYNAMIC + slope
+    x, P = f.x.copy(), f.P.copy()
+    for a in range(n):
+        gain = f.P[a, i] / f.P[i, i]
+        x[a] -= gain * f.x[i]
+        for b in range(n):
+            P[a, b] -= gain * f.P[i, b]
+    for a in range(n):
+        P[a, i], P[i, a] = 0.0, 0.0
+    x[i], P[i, i] = 0.0, SLOPE_CHANGE_M**2
+    return Filter(x, P, f.keys, f.history)
+
+
+@kernel
+def _learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vector, setup: ResolveSetup) -> None:
+    """Trust GLONASS integers once they agree with those of the others, with a slope that fits; remember the slope."""
+    slope, count = place_of(f.keys, SLOPE_KEY), 0
+    for satellite in everything.satellite:
+        count += 1 if satellite // SATELLITES_PER_SYSTEM == GLONASS else 0
+    if slope < 0 or count < 3:
+        return
+    if memory[TRUSTS_GLONASS] > 0.0:
+        x, P, wanted = np.empty(1), np.empty((1, 1)), np.full(1, DYNAMIC + slope)
+        if isfinite(condition(f.x, f.P, held, held_differences(f, held), 0.0, wanted, x, P)):
+            memory[SLOPE], memory[SLOPE_SIGMA] = x[0], sqrt(max(P[0, 0], 0.0)) + SLOPE_CHANGE_M
+        return
+    wide = _search(f, everything, setup)
+    fits = wide.resolved and wide.odds >= setup.confidence * ACCEPT_AT_ONCE and wide.norm <= NORM_LIMIT * len(wide.pairs)
+    if not fits or compare_integers(f.keys, f.history[:, INTEGER].copy(), f.keys, wide.values)[1] > 0:
+        memory[GLONASS_VOTES] = 0.0
+        return
+    memory[GLONASS_VOTES] += 1.0
+    if memory[GLONASS_VOTES] >= GLONASS_EPOCHS:
+        memory[TRUSTS_GLONASS] = 1.0
+
+
+@kernel
+def _strong(found: Search, penalty: float, setup: ResolveSetup) -> bool:
+    count = len(found.pairs)
+    if not found.resolved or count < setup.minimum_ambiguities:
+        return False
+    many = count >= STRONG_COUNT and found.norm <= 0.25 * NORM_LIMIT * count
+    return found.odds >= setup.confidence * (ACCEPT_MANY if many else ACCEPT_AT_ONCE) + penalty
+
+
+@kernel
+def _follow(f: Filter, found: Search, memory: Vector, time_s: float) -> None:
+    """Count for how long searches have given the same integers."""
+    common, different = compare_integers(f.keys, f.history[:, STREAK].copy(), f.keys, found.values)
+    if different > 0 or common < 3:
+        memory[STREAK_START_S], memory[STREAK_EPOCHS] = time_s, 0.0
+    memory[STREAK_EPOCHS] += 1.0
+    f.history[:, STREAK] = found.values
+
+
+@kernel
+def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: ResolveSetup) -> None:
+    """Let the float solution speak against what is held; release it when the doubt lasts."""
+    integers, n = held_differences(f, held), len(held)
+    norm = _norm(f, held, integers)
+    doubt = norm > NORM_LIMIT * n * 2.0
+    if free.resolved:
+        other, same = np.empty(n), True
+        for k in range(n):
+            other[k] = free.values[held[k, 0] - DYNAMIC] - free.values[held[k, 1] - DYNAMIC]
+            same = same and other[k] == integers[k]
+        if same:
+            memory[CONFIRMED] += 1.0
+            if memory[CONFIRMED] >= CONFIRMATIONS and free.odds >= setup.confidence * ACCEPT_AFTER_STREAK:
+                memory[SHOWN] = 1.0
+        else:
+            doubt = doubt or log_odds(_norm(f, held, other), norm, n) > RELEASE
+    _note(f, doubt, memory)
+
+
+@kernel
+def _norm(f: Filter, pairs: Indices, integers: Vector) -> float:
+    """Return the squared norm of integers against the float ambiguities."""
+    return condition(f.x, f.P, pairs, integers, 0.0, np.empty(0, np.int64), np.empty(0), np.empty((0, 0)))
+
+
+@kernel
+def _note(f: Filter, doubt: bool, memory: Vector) -> None:
+    """Count doubts in a row; release what is held when they last."""
+    memory[DOUBTS] = memory[DOUBTS] + 1.0 if doubt else max(memory[DOUBTS] - 1.0, 0.0)
+    if memory[DOUBTS] >= RELEASE_EPOCHS:
+        _release(f)
+        memory[DOUBTS], memory[STREAK_EPOCHS], memory[SHOWN] = 0.0, 0.0, 0.0
+        memory[TRUSTS_GLONASS], memory[GLONASS_VOTES] = 0.0, 0.0
+
+
+@kernel
+def _join(f: Filter, candidates: Candidates, held: Indices) -> None:
+    """Give integers to ambiguities that the held ones determine: all of the new ones, or without the newer, at last the oldest alone."""
+    known = _is_held(f, candidates)
+    new = np.empty(len(known), np.bool_)
+    for k in range(len(known)):
+        new[k] = not known[k] and f.history[candidates.row[k], ARC_EPOCHS] >= 1.0
+    fresh, old = take(candidates, new), take(candidates, known)
+    nearest = np.empty(len(fresh.row), np.int64)
+    count = held_references(fresh.group, old.group, old.weight, nearest)
+    if count == 0:
+        return
+    rows, references, pairs, j = np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 2), np.int64), 0
+    for k in range(len(nearest)):
+        if nearest[k] >= 0:
+            rows[j], references[j] = fresh.row[k], old.row[nearest[k]]
+            pairs[j, 0], pairs[j, 1] = rows[j] + DYNAMIC, references[j] + DYNAMIC
+            j += 1
+    wanted = np.empty(2 * count, np.int64)
+    wanted = wanted[: pack_pairs(pairs, wanted)]
+    x, P = np.empty(len(wanted)), np.empty((len(wanted), len(wanted)))
+    norm = condition(f.x, f.P, held, held_differences(f, held), 0.0, wanted, x, P)
+    if norm == np.inf:
+        return
+    scale, ages = max(1.0, norm / len(held)), _ages(f, rows)
+    for k in range(JOIN_TRIES):
+        place = (k * (len(ages) - 1)) // (JOIN_TRIES - 1)
+        if k > 0 and place == ((k - 1) * (len(ages) - 1)) // (JOIN_TRIES - 1):
+            continue
+        if _join_older(f, rows, references, pairs, ages[place], x, P, scale):
+            return
+
+
+@kernel
+def _ages(f: Filter, rows: Indices) -> Vector:
+    """Return the different arc lengths (epochs) of these ambiguities, rising."""
+    ages, count = np.empty(len(rows)), 0
+    for row in rows:
+        age, place = f.history[row, ARC_EPOCHS], count
+        while place > 0 and ages[place - 1] > age:
+            place -= 1
+        if place > 0 and ages[place - 1] == age:
+            continue
+        for i in range(count, place, -1):
+            ages[i] = ages[i - 1]
+        ages[place] = age
+        count += 1
+    return ages[:count]
+
+
+@kernel
+def _join_older(
+    f: Filter, rows: Indices, references: Indices, pairs: Indices, least: float, x: Vector, P: Matrix, scale: float
+) -> bool:
+    """Give integers to the new ambiguities whose arcs have at least so many epochs, if the held ones determine them."""
+    chosen, count = np.empty(len(rows), np.int64), 0
+    for k in range(len(rows)):
+        if f.history[rows[k], ARC_EPOCHS] >= least:
+            chosen[count] = k
+            count += 1
+    some = np.empty((count, 2), np.int64)
+    for i in range(count):
+        some[i, 0], some[i, 1] = pairs[chosen[i], 0], pairs[chosen[i], 1]
+    fixed, norms = np.zeros((2, count)), np.zeros(2)
+    status, _ = search_pairs(x, P, some, NODE_LIMIT, fixed, norms)
+    if status != OK or norms[1] - norms[0] < 2.0 * JOIN_ODDS * scale or norms[0] > NORM_LIMIT * scale * count:
+        return False
+    for i in range(count):
+        f.history[rows[chosen[i]], INTEGER] = f.history[references[chosen[i]], INTEGER] + fixed[0, i]
+    return True
+
+
+@kernel
+def _fix(
+    f: Filter, candidates: Candidates, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float
+) -> Resolution:
+    """Return the state that follows from what is held now."""
+    pairs, x, P = pairs_of(take(candidates, _is_held(f, candidates))), np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
+    count, grade, sigma_m = len(pairs), 0, np.nan
+    if count < 4:
+        reason = FEW_AMBIGUITIES if len(free.pairs) < setup.minimum_ambiguities else NOT_SURE
+    else:
+        integers = held_differences(f, pairs)
+        norm = condition(f.x, f.P, pairs, integers, 0.0, np.arange(DYNAMIC), x, P)
+        sigma_m = sqrt(max(P[0, 0] + P[1, 1] + P[2, 2], 0.0))
+        reason = FIX_OK
+        if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
+            reason = NOT_VALID
+        elif sigma_m > FIX_SIGMA_M:
+            reason = TOO_UNCERTAIN
+        elif isfinite(prediction[3]) and _distance_m(x, prediction) > PREDICTION_LIMIT_M + 4.0 * (prediction[3] + sigma_m):
+            _note(f, True, memory)
+            reason = NOT_VALID
+        else:
+            grade = 1 + (1 if memory[CONFIRMED] > 0.0 else 0)
+            if memory[CONFIRMED] >= STREAK_EPOCHS_LEAST and time_s - memory[HELD_SINCE_S] >= STREAK_S:
+                grade += 1
+            _tell(f, pairs, integers, memory, setup, grade)
+    ratio = min(free.second / max(free.norm, 1e-9), 9999.9) if free.second < np.inf else 0.0
+    threshold = ratio_for(len(free.pairs), setup.confidence * ACCEPT_AT_ONCE)
+    fixed = reason == FIX_OK
+    return Resolution(reason, fixed, x, P, ratio, free.odds, threshold, free.success, count if fixed else 0, grade)
+
+
+@kernel
+def _distance_m(x: Vector, prediction: Vector) -> float:
+    return sqrt((x[0] - prediction[0]) ** 2 + (x[1] - prediction[1]) ** 2 + (x[2] - prediction[2]) ** 2)
+
+
+@kernel
+def _tell(f: Filter, pairs: Indices, integers: Vector, memory: Vector, setup: ResolveSetup, grade: int) -> None:
+    """In fix-and-hold, tell the filter of integers that have proven themselves (softly, so that it can still object)."""
+    if setup.hold_after < 0 or grade < 3 or memory[CONFIRMED] < setup.hold_after:
+        return
+    n = len(f.x)
+    N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
+    add_constraints(pairs, f.x, integers, setup.hold_variance_cyc2, N, b)
+    if posterior(f.P, N, b, P, dx) == OK:
+        for i in range(n):
+            f.x[i] += dx[i]
+            f.P[i, :] = P[i]
+
+
+@kernel
+def _hold(f: Filter, found: Search) -> None:
     """Make these integers the held ones, and only these; a group's reference gets its rounded float value."""
-    held = state.history[:, INTEGER]
-    held[:] = np.nan
-    rows = pairs - state.dynamic
-    held[rows[:, 1]] = np.rint(state.x[pairs[:, 1]])
-    held[rows[:, 0]] = held[rows[:, 1]] + integers
+    _release(f)
+    for k in range(len(found.pairs)):
+        state, reference = found.pairs[k, 0], found.pairs[k, 1]
+        f.history[reference - DYNAMIC, INTEGER] = np.rint(f.x[reference])
+    for k in range(len(found.pairs)):
+        state, reference = found.pairs[k, 0], found.pairs[k, 1]
+        f.history[state - DYNAMIC, INTEGER] = f.history[reference - DYNAMIC, INTEGER] + found.integers[k]
 
 
-def _release(state: FilterState) -> None:
-    state.history[:, INTEGER] = np.nan
+@kernel
+def _release(f: Filter) -> None:
+    f.history[:, INTEGER] = np.nan
 
 
 def confidence(ratio: float) -> float:
@@ -444,7 +506,8 @@ def confidence(ratio: float) -> float:
     return log((PRIOR_DOF + 10.0 * max(ratio, 1.05)) / (PRIOR_DOF + 10.0)) / log((PRIOR_DOF + 30.0) / (PRIOR_DOF + 10.0))
 
 
-def _ratio_for(count: int, odds: float) -> float:
+@kernel
+def ratio_for(count: int, odds: float) -> float:
     """Return the ratio that gives these odds when the best norm is what is expected of it (its count)."""
     if count == 0:
         return 0.0
