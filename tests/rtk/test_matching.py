@@ -5,7 +5,7 @@ import numpy as np
 from rtkmesh.gnss.epoch import make_epoch
 from rtkmesh.gnss.signals import satellite_number, signal_number
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh.rtk.matching import SAME_BAND, SAME_CODE, SAME_FAMILY, Matcher
+from rtkmesh.rtk.matching import SAME_BAND, SAME_CODE, SAME_FAMILY, match, matching_rules
 
 TIME = GpsTime(2300, 1000.0)
 
@@ -20,7 +20,7 @@ def epoch(*rows, without_phase=(), cn0_dbhz=45.0):
 
 
 def matched(rover, base, systems="GREJC", frequencies=2, excluded=(), cn0_mask_dbhz=0.0):
-    pairs = Matcher(systems, frequencies, excluded, cn0_mask_dbhz).match(rover, base)
+    pairs = match(rover.signals, base.signals, matching_rules(systems, frequencies, excluded, cn0_mask_dbhz))
     rows, others = list(rover.rows()), list(base.rows())
     return [(rows[i][0], rows[i][1], others[j][1], int(k)) for i, j, k in zip(pairs.rover, pairs.base, pairs.likeness, strict=True)], pairs
 
@@ -62,6 +62,6 @@ def test_groups_and_keys_follow_content():
     _, pairs = matched(rover, rover)
     assert pairs.groups == 3
     assert pairs.group.tolist() == [0, 0, 1, 0, 1, 2]
-    assert len(set(pairs.key.tolist())) == len(pairs)
+    assert len(set(pairs.key.tolist())) == len(pairs.key)
     empty = epoch()
     assert len(matched(rover, empty)[1]) == 0

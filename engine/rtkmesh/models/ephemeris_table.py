@@ -46,7 +46,7 @@ class Issues(NamedTuple):
 
     rows: NDArray[np.float64]
     keys: NDArray[np.float64]
-    count: NDArray[np.int64]
+    issues: NDArray[np.int64]
     channel: NDArray[np.int8]
 
 
@@ -222,8 +222,8 @@ def select_issues(issues: Issues, satellites: NDArray[np.int16], time_s: float, 
     """Write one row (n, ROW) per satellite as ``EphemerisTable.select`` says; ``time_s`` counts from the start of GPS time."""
     for i in range(len(satellites)):
         satellite, best = int(satellites[i]), -1
-        if 0 <= satellite < len(issues.count):
-            keys, count = issues.keys[satellite], int(issues.count[satellite])
+        if 0 <= satellite < len(issues.issues):
+            keys, count = issues.keys[satellite], int(issues.issues[satellite])
             best = _best_issue(issues.rows[satellite], keys, count, time_s)
             if best >= 0 and not include_unhealthy and _withdrawn(keys, count, best, time_s):
                 best = -1

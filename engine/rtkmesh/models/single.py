@@ -31,7 +31,15 @@ from rtkmesh.models.code_selection import (
 from rtkmesh.models.ephemeris_table import ROW, EphemerisTable, Issues, select_issues
 from rtkmesh.models.geometry import AZIMUTH, ELEVATION, GEOMETRY
 from rtkmesh.models.orbit import STATE, STATE_OK, satellite_states
-from rtkmesh.models.single_adjustment import CONVERGED, FEW_SATELLITES, NO_EPHEMERIS, QUALITY, UNKNOWNS, adjust_position, adjust_velocity
+from rtkmesh.models.single_adjustment import (
+    CONVERGED,
+    FEW_SATELLITES,
+    NO_EPHEMERIS,
+    QUALITY,
+    UNKNOWNS,
+    adjust_position,
+    adjust_velocity,
+)
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -176,12 +184,14 @@ class Located(NamedTuple):
     """What ``locate`` found; unknown is NaN. ``status`` is of SingleStatus, CONVERGED with a position.
 
     One row per satellite with a code: ``satellites`` (sorted), ephemeris ``rows``, ``states``, ``geometry``, ``work``. ``velocity_mps``
-    has the clock's rate as fourth; ``quality`` is chi-square, degrees of freedom, PDOP.
+    has the clock's rate as fourth; ``clock_s`` is the receiver clock of the first system in use, GPS first; ``quality`` is chi-square,
+    degrees of freedom, PDOP.
     """
 
     status: int
     position_ecef_m: Vector
     covariance_m2: Matrix
+    clock_s: float
     clocks_m: Vector
     velocity_mps: Vector
     velocity_cov_m2ps2: Matrix
@@ -210,7 +220,8 @@ def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Ve
         rows, signals.satellite, signals.signal, signals.channel, signals.pseudorange_m, signals.doppler_hz, signals.cn0_dbhz,
         signals.pseudorange_sigma_m, chosen[:count], setup.free_of_ionosphere, work,
     )  # fmt: skip
-    position, clocks_m, cofactor, quality = start_ecef_m.copy(), np.zeros(CLOCKS), np.empty((UNKNOWNS, UNKNOWNS)), np.full(QUALITY, np.nan)
+    position, clocks_m = start_ecef_m.copy(), np.zeros(CLOCKS)
+    cofactor, quality = np.empty((UNKNOWNS, UNKNOWNS)), np.full(QUALITY, np.nan)
     velocity, rate_cofactor = np.full(4, np.nan), np.full((4, 4), np.nan)
     if not np.isfinite(position[0] + position[1] + position[2]):
         position[:] = 0.0
@@ -225,17 +236,11 @@ def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Ve
     elif adjust_velocity(work, states, geometry, setup.adjustment, position, velocity, rate_cofactor) != CONVERGED:
         velocity[:], rate_cofactor[:, :] = np.nan, np.nan
     scale = max(1.0, quality[0] / quality[1]) if quality[1] > 0.0 else 1.0
+    clock_s = clocks_by_system(work, clocks_m, np.empty(len(CLOCK_OF_SYSTEM))) if status == CONVERGED else np.nan
     return Located(
-        status, position, scale * cofactor[:3, :3], clocks_m, velocity, rate_cofactor[:3, :3].copy(), quality, satellites, rows, states,
-        geometry, work,
+        status, position, scale * cofactor[:3, :3], clock_s, clocks_m, velocity, rate_cofactor[:3, :3].copy(), quality, satellites, rows,
+        states, geometry, work,
     )  # fmt: skip
-
-
-@kernel
-def receiver_clock_s(located: Located) -> float:
-    """Return the receiver clock (s) of the first system in use, GPS first; NaN without a position."""
-    spare = np.empty(len(CLOCK_OF_SYSTEM))
-    return clocks_by_system(located.work, located.clocks_m, spare) if located.status == CONVERGED else np.nan
 
 
 @lru_cache(maxsize=64)

@@ -81,20 +81,35 @@ def seed(f: Filter, baseline_ecef_m: Vector, sigmas: Vector) -> None:
         reset_state(f.x, f.P, i, baseline_ecef_m[i] if i < 3 else 0.0, sigmas[i // 3] ** 2)
 
 
+class Motion(NamedTuple):
+    """How a rover moves: jerk density in the horizontal and the vertical (m/s2 per square root of second), decay of accelerations (s)."""
+
+    horizontal_mps2: float
+    vertical_mps2: float
+    decay_s: float
+
+
 @kernel
-def move(f: Filter, dt_s: float, decay_s: float, base_ecef_m: Vector, horizontal_mps2: float, vertical_mps2: float, sigmas: Vector) -> None:
-    """Move the dynamic states on, driven by jerk of this density in the horizontal and the vertical; what stood until now begins to move
-    with these ``sigmas``.
-    """
+def move(f: Filter, dt_s: float, motion: Motion, base_ecef_m: Vector, sigmas: Vector) -> None:
+    """Move the dynamic states on; what stood until now begins to move with these ``sigmas``."""
     if f.P[3, 3] < 1e-9:
         for i in range(3, DYNAMIC):
             reset_state(f.x, f.P, i, 0.0, sigmas[i // 3] ** 2)
     geodetic = geodetic_from_ecef(base_ecef_m + f.x[:3])
-    turn, Q = enu_from_ecef(geodetic[0], geodetic[1]), np.empty((3, 3))
+    turn, Q, h, v = enu_from_ecef(geodetic[0], geodetic[1]), np.empty((3, 3)), motion.horizontal_mps2**2, motion.vertical_mps2**2
     for i in range(3):
         for j in range(3):
-            Q[i, j] = horizontal_mps2**2 * (turn[0, i] * turn[0, j] + turn[1, i] * turn[1, j]) + vertical_mps2**2 * turn[2, i] * turn[2, j]
-    predict_motion(f.x, f.P, dt_s, decay_s, Q)
+            Q[i, j] = h * (turn[0, i] * turn[0, j] + turn[1, i] * turn[1, j]) + v * turn[2, i] * turn[2, j]
+    predict_motion(f.x, f.P, dt_s, motion.decay_s, Q)
+
+
+@kernel
+def advance(f: Filter, dt_s: float, moving: bool, motion: Motion, base_ecef_m: Vector, walks: Walks, sigmas: Vector) -> bool:
+    """Move the filter on by ``dt_s``; return whether it is still finite."""
+    if moving:
+        move(f, dt_s, motion, base_ecef_m, sigmas)
+    grow(f.P, f.keys, DYNAMIC, walks, dt_s)
+    return is_finite(f.x, f.P)
 
 
 @kernel

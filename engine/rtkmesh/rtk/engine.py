@@ -4,6 +4,7 @@
 """
 
 from dataclasses import replace
+from functools import reduce
 from math import isfinite, nan, sqrt
 from typing import Final
 
@@ -11,33 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
-from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.epoch import Epoch, Signals
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
-from rtkmesh.rtk.bookkeeping import (
-    Arranged,
-    Walks,
-    find_candidates,
-    grow,
-    is_finite,
-    lay_out,
-    move,
-    remember,
-    seed,
-    systems_of,
-)
-from rtkmesh.rtk.matching import distinct, match, matching_rules
-from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, new_code_scale
+from rtkmesh.rtk.bookkeeping import Motion, advance, seed, systems_of
+from rtkmesh.rtk.matching import matching_rules
+from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
-from rtkmesh.rtk.report import Outcome, from_single, report
-from rtkmesh.rtk.residuals import CODE, Conditions, Differences, combine, observe
+from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, Known, Setup, differences_of, solve, solve_pair, walks_of
+from rtkmesh.rtk.report import IS_FIXED, Circumstances, from_single, report
+from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.solution import Reason, Solution
-from rtkmesh.rtk.state import DYNAMIC, FilterState, length_m, trace
-from rtkmesh.rtk.update import Layout, Update, update
-from rtkmesh.rtk.validation import SLOPE, SLOPE_SIGMA, Resolution, forget, new_memory, not_resolved, resolve, resolve_setup
+from rtkmesh.rtk.state import FilterState, length_m, trace
+from rtkmesh.rtk.validation import forget, new_memory, resolve_setup
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -50,20 +40,25 @@ _SEED_MOVING: Final = np.array((30.0, 10.0, 3.0))
 _SEED_STANDING: Final = np.array((30.0, 1e-6, 1e-6))
 _SEED_FIXED: Final = np.array((1e-4, 1e-6, 1e-6))
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
-# From here on the ionosphere is a state per satellite. Nearer, states cost more than they give: at 35 km 30 against 97 % right fixes.
-_LONG_BASELINE_M: Final = 70e3
-_IONOSPHERE_SIGMA_PPM: Final = 1.0e-6
-_IONOSPHERE_WALK_PPM: Final = 0.012e-6  # per square root of second
-_ZENITH_SIGMA_M: Final = 0.02
-_ZENITH_WALK_M: Final = 5e-5  # per square root of second
-_SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
 _COMPLEMENT_S: Final = 10.0  # how much older a base epoch may be that gives a system which the newest lacks
 _ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
 _ABSURD_EPOCHS: Final = 3
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
 _NOWHERE: Final = np.full(3, nan)
 _UNKNOWN: Final = np.full((3, 3), nan)
-_NO_PREDICTION: Final = np.full(4, nan)
+
+
+def _setup_of(options: RtkOptions) -> Setup:
+    """Return the options for kernels."""
+    moving_base, slip, noise, ambiguity = options.mode is Mode.MOVING_BASE, options.slip, options.noise, options.ambiguity
+    return Setup(
+        matching_rules(options.systems, options.frequencies, options.excluded, options.cn0_mask_dbhz),
+        SlipSetup(slip.time_difference_cyc, slip.maximum_gap_s, moving_base, True),
+        resolve_setup(ambiguity, options.baseline_length_m if moving_base else None, options.baseline_sigma_m),
+        noise.phase_a_m, noise.phase_b_m, noise.code_ratio, noise.ephemeris_m_per_m, options.elevation_mask_rad,
+        ambiguity.elevation_mask_rad, float(ambiguity.minimum_lock_epochs), options.dynamics.ambiguity_cyc, options.mode is not Mode.DGPS,
+        ambiguity.mode is not AmbiguityMode.OFF,
+    )  # fmt: skip
 
 
 class Rtk:
@@ -71,21 +66,18 @@ class Rtk:
 
     def __init__(self, options: RtkOptions) -> None:
         self.options = options
-        self._rules = matching_rules(options.systems, options.frequencies, options.excluded, options.cn0_mask_dbhz)
         self._state: FilterState | None = None
         self._scale = new_code_scale()
-        constrained = options.mode is Mode.MOVING_BASE and options.baseline_length_m is not None
-        self._resolve = resolve_setup(options.ambiguity, options.baseline_length_m if constrained else None, options.baseline_sigma_m)
         self._memory = new_memory()
-        self._prediction = _NO_PREDICTION
+        self._prediction = np.full(4, nan)
         self._resets = 0
         self._absurd = 0
         self._was_fixed = False
-        self._base_s = nan
         self._klobuchar: KlobucharParameters | None = None
         self._point = self._point_setup(None)
-        slip = options.slip
-        self._slip = SlipSetup(slip.time_difference_cyc, slip.maximum_gap_s, options.mode is Mode.MOVING_BASE, True)
+        self._setup = _setup_of(options)
+        motion = options.dynamics
+        self._motion = Motion(motion.acceleration_horizontal_mps2, motion.acceleration_vertical_mps2, _DECAY_S)
         self._bases: list[Epoch] = []
 
     def reset(self) -> None:
@@ -95,7 +87,8 @@ class Rtk:
         self._forget()
 
     def _forget(self) -> None:
-        self._state, self._prediction = None, _NO_PREDICTION
+        self._state = None
+        self._prediction[:] = nan
         forget(self._memory)
 
     def step(
@@ -176,8 +169,7 @@ class Rtk:
             if not 0.0 <= dt <= _FORGET_S:
                 self.reset()
             else:
-                self._advance(state, dt, single)
-                if not is_finite(state.filter.x, state.filter.P) or self._astray(state, single):
+                if not self._advance(state, dt, single) or self._astray(state, single):
                     self.reset()
         state = self._state
         if state is None:
@@ -200,22 +192,15 @@ class Rtk:
         sigmas = _SEED_MOVING if self._moves else _SEED_STANDING
         seed(state.filter, start - state.base_ecef_m, sigmas if fixed is None else _SEED_FIXED)
 
-    def _advance(self, state: FilterState, dt: float, single: Located) -> None:
-        """Move the state on by ``dt`` seconds."""
+    def _advance(self, state: FilterState, dt: float, single: Located) -> bool:
+        """Move the state on by ``dt`` seconds; return whether it is still finite."""
         state.time_s += dt
-        o = self.options.dynamics
-        if self._moves and dt > _RESEED_S and single.status == CONVERGED:
+        moves = self._moves
+        if moves and dt > _RESEED_S and single.status == CONVERGED:
             self._seed(state, single)
-        elif self._moves:
-            move(state.filter, dt, _DECAY_S, state.base_ecef_m, o.acceleration_horizontal_mps2, o.acceleration_vertical_mps2, _SEED_MOVING)
-        grow(state.filter.P, state.filter.keys, DYNAMIC, self._walks(state), dt)
-
-    def _walks(self, state: FilterState) -> Walks:
-        length = state.baseline_m
-        return Walks(
-            self.options.dynamics.ambiguity_cyc, _IONOSPHERE_WALK_PPM * length, _IONOSPHERE_SIGMA_PPM * length, _ZENITH_WALK_M,
-            _ZENITH_SIGMA_M, _SLOPE_WALK_M, (float(self._memory[SLOPE]), float(self._memory[SLOPE_SIGMA])), _CODE_MEMORY_S,
-        )  # fmt: skip
+            moves = False
+        walks = walks_of(self._setup, state.baseline_m, self._memory)
+        return advance(state.filter, dt, moves, self._motion, state.base_ecef_m, walks, _SEED_MOVING)
 
     def _astray(self, state: FilterState, single: Located) -> bool:
         if single.status != CONVERGED or self.options.mode is Mode.FIXED:
@@ -225,62 +210,55 @@ class Rtk:
 
     # --- one relative solution ---
 
-    def _relative(
-        self, state: FilterState, rover: Epoch, base: Epoch, issues: Issues, singles: tuple[Located, Located | None]
-    ) -> Solution:  # fmt: skip
+    def _relative(self, state: FilterState, rover: Epoch, base: Epoch, issues: Issues, singles: tuple[Located, Located | None]) -> Solution:
         single, model_ecef_m, age_s = singles[0], state.rover_ecef_m, rover.time - base.time
-        differences = self._differences(state, rover, base, issues, single)
-        if distinct(differences.pairs.satellite, np.isfinite(differences.table[:, CODE])) < 4:
-            return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         base_s = base.time - state.origin
-        times_s = np.array((state.time_s, base_s, state.rover_s, state.base_s))
-        phases, atmosphere = self.options.mode is not Mode.DGPS, 2 if state.baseline_m > _LONG_BASELINE_M else 0
-        arranged = lay_out(state.filter, differences, times_s, self._slip, self._walks(state), phases, atmosphere)
-        state.filter = arranged.filter
-        self._predict_fix(state, arranged)
-        outcome = update(state.filter, differences, arranged.layout, self._scale, *self._velocity(singles))
-        if not outcome.ok or not is_finite(state.filter.x, state.filter.P):
+        known = Known(
+            np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, self._prediction,
+            self._memory, self._scale, *self._velocity(singles),
+        )  # fmt: skip
+        parts = self._complements(rover, base)
+        klobuchar, channel, signals = self._point.klobuchar, issues.channel, rover.signals
+        if not parts:
+            solved = solve_pair(state.filter, signals, base.signals, single, channel, klobuchar, known, self._setup)
+        else:
+            solved = solve(state.filter, self._combined(state, signals, [base, *parts], single, channel), known, self._setup)
+        around = Circumstances(age_s, self._moves, singles[1], self._resets)
+        if solved.status == FEW_COMMON:
+            return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
+        if solved.status == NOT_FINITE:
             self.reset()
             return replace(from_single(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
-        remember(state.filter, differences, arranged.layout, outcome.phase_used, state.time_s)
-        state.rover_s, state.base_s, state.rover_model_ecef_m = state.time_s, base_s, model_ecef_m
-        resolution = self._resolved(state, differences, arranged.layout, outcome)
-        self._was_fixed = self._was_fixed or resolution.fixed
-        result = Outcome(differences, arranged.layout, outcome, resolution, age_s, self._moves, singles[1], self._resets)
-        return report(rover, base, single, state, result)
+        state.filter, state.rover_s, state.base_s, state.rover_model_ecef_m = solved.filter, state.time_s, base_s, model_ecef_m
+        self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
+        return report(rover, base, single, state.base_ecef_m, solved, around)
 
-    def _differences(self, state: FilterState, rover: Epoch, base: Epoch, issues: Issues, single: Located) -> Differences:
-        """Form the single differences; a system that this base epoch lacks comes from an earlier one.
+    def _complements(self, rover: Epoch, base: Epoch) -> list[Epoch]:
+        """Return from earlier base epochs, newest first, the systems that this one lacks and the rover has.
 
         Lost messages make such epochs: RTCM 3 sends each system by itself.
         """
+        if self.options.mode is Mode.MOVING_BASE:
+            return []
         if not self._bases or self._bases[-1] is not base:
             self._bases = [b for b in self._bases if 0.0 < base.time - b.time <= _COMPLEMENT_S] + [base]
-        model_ecef_m, signals, klobuchar, out = state.rover_ecef_m, rover.signals, self._point.klobuchar, None
-        missing = systems_of(rover.satellite)
-        for other in reversed(self._bases if self.options.mode is not Mode.MOVING_BASE else [base]):
-            found = missing & systems_of(other.satellite)
-            if not found and out is not None:
-                continue
-            missing &= ~found
-            part = other if out is None else other.take((found >> (other.satellite // SATELLITES_PER_SYSTEM)) & 1 != 0)
-            conditions = self._conditions(state, rover.time - other.time, other.time - state.origin)
-            pairs = match(signals, part.signals, self._rules)
-            made = observe(signals, part.signals, pairs, single, issues.channel, klobuchar, model_ecef_m, state.base_ecef_m, conditions)
-            out = made if out is None else combine(out, made)
-            if not missing:
-                break
-        assert out is not None
-        return out
+        missing, parts = systems_of(rover.satellite) & ~systems_of(base.satellite), list[Epoch]()
+        for other in reversed(self._bases[:-1]):
+            if found := missing & systems_of(other.satellite):
+                parts.append(other.take((found >> (other.satellite // SATELLITES_PER_SYSTEM)) & 1 != 0))
+                missing &= ~found
+        return parts
 
-    def _conditions(self, state: FilterState, age_s: float, base_s: float) -> Conditions:
-        o = self.options
-        length = state.baseline_m
-        common = (CLOCK_DRIFT_MPS * age_s) ** 2 + (o.noise.ephemeris_m_per_m * length) ** 2
-        if length < _LONG_BASELINE_M:
-            common += (IONOSPHERE_PPM * length) ** 2
-        noise = np.array((o.noise.phase_a_m, o.noise.phase_b_m, o.noise.code_ratio, common))
-        return Conditions(noise, o.elevation_mask_rad, base_s)
+    def _combined(self, state: FilterState, rover: Signals, bases: list[Epoch], single: Located, channel: NDArray[np.int8]) -> Differences:
+        """Form the single differences with several base epochs that share no system."""
+        made = (
+            differences_of(
+                state.filter, rover, part.signals, single, channel, self._point.klobuchar, state.base_ecef_m,
+                np.array((state.time_s, part.time - state.origin)), self._setup,
+            )
+            for part in bases
+        )  # fmt: skip
+        return reduce(combine, made)
 
     def _velocity(self, singles: tuple[Located, Located | None]) -> tuple[Vector, Matrix]:
         """Return the Doppler velocity relative to the base, with its covariance; NaN without."""
@@ -292,25 +270,3 @@ class Rtk:
         if base is None:
             return _NOWHERE, _UNKNOWN
         return rover.velocity_mps - base.velocity_mps, rover.velocity_cov_m2ps2 + base.velocity_cov_m2ps2
-
-    def _predict_fix(self, state: FilterState, arranged: Arranged) -> None:
-        """Carry the last fix on by the motion that the phases show."""
-        last = self._prediction
-        if not isfinite(last[3]) or arranged.redundancy < 1 or self.options.mode is Mode.MOVING_BASE:
-            self._prediction = _NO_PREDICTION
-            return
-        moved = state.rover_ecef_m - state.rover_model_ecef_m + arranged.motion_m
-        self._prediction = np.append(last[:3] + moved, last[3] + sqrt(trace(arranged.motion_cov_m2)))
-
-    def _resolved(self, state: FilterState, differences: Differences, layout: Layout, outcome: Update) -> Resolution:
-        """Return what is known of integers, and carry the fix on as the next epoch's prediction."""
-        o = self.options.ambiguity
-        if o.mode is AmbiguityMode.OFF:
-            return not_resolved(Reason.AMBIGUITY_OFF)
-        candidates = find_candidates(
-            state.filter, differences, layout, outcome.phase_used, o.elevation_mask_rad, float(o.minimum_lock_epochs)
-        )
-        resolution = resolve(state.filter, candidates, self._memory, self._resolve, self._prediction, state.time_s)
-        if resolution.fixed:
-            self._prediction = np.append(resolution.x[:3], 0.0)
-        return resolution

@@ -108,8 +108,8 @@ def match(rover: Signals, base: Signals, rules: Rules) -> Pairs:
     _usable(base.pseudorange_m, base.phase_cyc, base.cn0_dbhz, rules.cn0_mask_dbhz, base_usable)
     rows = np.empty((min(len(rover.satellite), len(base.satellite)), 3), np.int64)
     count = _match(
-        rover.satellite, rover.signal, rover_usable, base.satellite, base.signal, base_usable, rules.allowed, rules.frequencies, rules.order,
-        rules.rank, rules.family, rows,
+        rover.satellite, rover.signal, rover_usable, base.satellite, base.signal, base_usable, rules.allowed, rules.frequencies,
+        rules.order, rules.rank, rules.family, rows,
     )  # fmt: skip
     satellite, columns = np.empty(count, np.int16), np.empty((PAIR, count), np.int64)
     for k in range(count):

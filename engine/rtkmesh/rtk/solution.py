@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,28 +48,82 @@ class Reason(IntEnum):
 USED_CODE, USED_PHASE, FIXED, SLIPPED, REJECTED, HALF_CYCLE = 1, 2, 4, 8, 16, 32
 
 
+# Columns of the packed satellite table.
+(
+    T_SATELLITE, T_SIGNAL, T_STATE, T_AZIMUTH_RAD, T_ELEVATION_RAD, T_CN0_DBHZ, T_CODE_M, T_PHASE_M, T_AMBIGUITY_CYC, T_LOCK_S, T_SLIPS,
+) = range(11)  # fmt: skip
+TABLE: Final = 11
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SatelliteTable:
-    """Per satellite and signal: what the filter made of it. All columns have one length; unknown is NaN."""
+    """Per satellite and signal: what the filter made of it. Unknown is NaN; ``packed`` has a row per signal, the columns T_*.
 
-    satellite: NDArray[np.int16]
-    signal: NDArray[np.int16]
-    state: NDArray[np.uint8]
-    azimuth_rad: Vector
-    elevation_rad: Vector
-    cn0_dbhz: Vector
-    code_residual_m: Vector
-    phase_residual_m: Vector
-    ambiguity_cyc: Vector
-    lock_s: Vector
-    slips: NDArray[np.int32]
+    Azimuth and elevation are in radians, C/N0 in dB-Hz, residuals in metres, the single-difference ambiguity in cycles, the age of its arc
+    in seconds; ``state`` is of the bits above.
+    """
+
+    packed: Matrix
+
+    @property
+    def satellite(self) -> NDArray[np.int16]:
+        """Satellite numbers."""
+        return self.packed[:, T_SATELLITE].astype(np.int16)
+
+    @property
+    def signal(self) -> NDArray[np.int16]:
+        """Signal numbers of the rover."""
+        return self.packed[:, T_SIGNAL].astype(np.int16)
+
+    @property
+    def state(self) -> NDArray[np.uint8]:
+        """What was used, and how."""
+        return self.packed[:, T_STATE].astype(np.uint8)
+
+    @property
+    def azimuth_rad(self) -> Vector:
+        """Azimuth, clockwise from north."""
+        return self.packed[:, T_AZIMUTH_RAD]
+
+    @property
+    def elevation_rad(self) -> Vector:
+        """Elevation."""
+        return self.packed[:, T_ELEVATION_RAD]
+
+    @property
+    def cn0_dbhz(self) -> Vector:
+        """The lower C/N0 of rover and base."""
+        return self.packed[:, T_CN0_DBHZ]
+
+    @property
+    def code_residual_m(self) -> Vector:
+        """Residuals of the code differences."""
+        return self.packed[:, T_CODE_M]
+
+    @property
+    def phase_residual_m(self) -> Vector:
+        """Residuals of the phase differences."""
+        return self.packed[:, T_PHASE_M]
+
+    @property
+    def ambiguity_cyc(self) -> Vector:
+        """Float ambiguities."""
+        return self.packed[:, T_AMBIGUITY_CYC]
+
+    @property
+    def lock_s(self) -> Vector:
+        """Time since the ambiguity began."""
+        return self.packed[:, T_LOCK_S]
+
+    @property
+    def slips(self) -> NDArray[np.int32]:
+        """Slips since the satellite came."""
+        return self.packed[:, T_SLIPS].astype(np.int32)
 
 
 def no_satellites() -> SatelliteTable:
     """Return the empty table."""
-    z = np.zeros(0)
-    i2, u1, i4 = np.zeros(0, np.int16), np.zeros(0, np.uint8), np.zeros(0, np.int32)
-    return SatelliteTable(i2, i2, u1, z, z, z, z, z, z, z, i4)
+    return SatelliteTable(np.zeros((0, TABLE)))
 
 
 def _nan3() -> Vector:

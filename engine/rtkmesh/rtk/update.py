@@ -125,10 +125,10 @@ def adjust(f: Filter, work: Work, velocity_mps: Vector, velocity_cov_m2ps2: Matr
 
 @kernel
 def _differ(found: Vector, factors: Vector) -> bool:
+    largest = 0.0
     for k in range(len(factors)):
-        if max(found[k] / factors[k], factors[k] / found[k]) > _RESCALE:
-            return True
-    return False
+        largest = max(largest, found[k] / factors[k], factors[k] / found[k])
+    return largest > _RESCALE
 
 
 @kernel

@@ -66,8 +66,8 @@ SUBSET_TRIES: Final = 8
 NEW_S: Final = (0.0, 5.0, 20.0)  # subsets leave out what is younger
 
 # Reasons as numbers, for kernels.
-FIX_OK, FEW_AMBIGUITIES, NOT_SURE, TOO_UNCERTAIN, NOT_VALID = (int(reason) for reason in (
-    Reason.OK, Reason.FEW_AMBIGUITIES, Reason.RATIO, Reason.FLOAT_TOO_UNCERTAIN, Reason.VALIDATION
+FIX_OK, FEW_AMBIGUITIES, NOT_SURE, TOO_UNCERTAIN, NOT_VALID, SWITCHED_OFF = (int(reason) for reason in (
+    Reason.OK, Reason.FEW_AMBIGUITIES, Reason.RATIO, Reason.FLOAT_TOO_UNCERTAIN, Reason.VALIDATION, Reason.AMBIGUITY_OFF
 ))  # fmt: skip
 
 
@@ -105,7 +105,7 @@ class Resolution(NamedTuple):
     odds: float
     threshold: float
     success: float
-    count: int
+    integers: int
     grade: int
 
 
@@ -135,9 +135,10 @@ def forget(memory: Vector) -> None:
     memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]] = kept
 
 
-def not_resolved(reason: Reason) -> Resolution:
+@kernel
+def not_resolved() -> Resolution:
     """Return the resolution of an epoch in which no integers were looked for."""
-    return Resolution(reason, False, np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), 0.0, 0.0, 0.0, 0.0, 0, 0)
+    return Resolution(SWITCHED_OFF, False, np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), 0.0, 0.0, 0.0, 0.0, 0, 0)
 
 
 @kernel
@@ -412,9 +413,7 @@ def _ages(f: Filter, rows: Indices) -> Vector:
 
 
 @kernel
-def _join_older(
-    f: Filter, rows: Indices, references: Indices, pairs: Indices, least: float, x: Vector, P: Matrix, scale: float
-) -> bool:
+def _join_older(f: Filter, rows: Indices, references: Indices, pairs: Indices, least: float, x: Vector, P: Matrix, scale: float) -> bool:
     """Give integers to the new ambiguities whose arcs have at least so many epochs, if the held ones determine them."""
     chosen, count = np.empty(len(rows), np.int64), 0
     for k in range(len(rows)):

@@ -1,0 +1,163 @@
+"""One relative solution in one compiled call: the page of steps between two epochs and what is known of the rover."""
+
+from math import isfinite, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.epoch import Signals
+from rtkmesh.models.single import Located
+from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
+from rtkmesh.rtk.matching import Rules, distinct, match
+from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM
+from rtkmesh.rtk.report import FIGURES, describe_fit, describe_pairs, describe_resolution
+from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
+from rtkmesh.rtk.slips import SlipSetup
+from rtkmesh.rtk.state import DYNAMIC, Filter
+from rtkmesh.rtk.update import update
+from rtkmesh.rtk.validation import SLOPE, SLOPE_SIGMA, ResolveSetup, not_resolved, resolve
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+# From here on the ionosphere is a state per satellite. Nearer, states cost more than they give: at 35 km 30 against 97 % right fixes.
+LONG_BASELINE_M: Final = 70e3
+_IONOSPHERE_SIGMA_PPM: Final = 1.0e-6
+_IONOSPHERE_WALK_PPM: Final = 0.012e-6  # per square root of second
+_ZENITH_SIGMA_M: Final = 0.02
+_ZENITH_WALK_M: Final = 5e-5  # per square root of second
+_SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
+_CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
+
+SOLVED, FEW_COMMON, NOT_FINITE = range(3)
+
+
+class Setup(NamedTuple):
+    """What one engine's options say to kernels: angles in rad, noise parameters as ``residuals`` has them."""
+
+    rules: Rules
+    slip: SlipSetup
+    resolve: ResolveSetup
+    phase_a_m: float
+    phase_b_m: float
+    code_ratio: float
+    ephemeris_m_per_m: float
+    mask_rad: float
+    ambiguity_mask_rad: float
+    minimum_lock_epochs: float
+    ambiguity_walk_cyc: float
+    phases: bool
+    resolving: bool
+
+
+class Known(NamedTuple):
+    """What is carried from epoch to epoch beside the filter; ``memory``, ``scale`` and ``prediction`` are written to.
+
+    ``times_s`` are now rover, now base, last rover, last base on the filter's clock; ``last_model_ecef_m`` is where the rover was taken to
+    be in the last epoch; ``prediction`` where the last fix and the phases since put the baseline (m, ECEF) and its sigma, NaN without; the
+    velocity is the Doppler velocity relative to the base, NaN without.
+    """
+
+    times_s: Vector
+    base_ecef_m: Vector
+    last_model_ecef_m: Vector
+    prediction: Vector
+    memory: Vector
+    scale: Matrix
+    velocity_mps: Vector
+    velocity_cov_m2ps2: Matrix
+
+
+class Solved(NamedTuple):
+    """What came of a pair of epochs: SOLVED, FEW_COMMON or NOT_FINITE; the filter; dynamic states and their covariance; the row of figures
+    and the satellite table as ``report`` has them.
+    """
+
+    status: int
+    filter: Filter
+    x: Vector
+    P: Matrix
+    figures: Vector
+    satellites: Matrix
+
+
+@kernel
+def conditions(setup: Setup, length_m: float, age_s: float, base_s: float) -> Conditions:
+    """Return what decides variances for a base epoch of this age and a baseline of this length."""
+    common = (CLOCK_DRIFT_MPS * age_s) ** 2 + (setup.ephemeris_m_per_m * length_m) ** 2
+    if length_m < LONG_BASELINE_M:
+        common += (IONOSPHERE_PPM * length_m) ** 2
+    return Conditions(np.array((setup.phase_a_m, setup.phase_b_m, setup.code_ratio, common)), setup.mask_rad, base_s)
+
+
+@kernel
+def walks_of(setup: Setup, length_m: float, memory: Vector) -> Walks:
+    """Return the random walks of the keyed states for a baseline of this length."""
+    return Walks(
+        setup.ambiguity_walk_cyc, _IONOSPHERE_WALK_PPM * length_m, _IONOSPHERE_SIGMA_PPM * length_m, _ZENITH_WALK_M, _ZENITH_SIGMA_M,
+        _SLOPE_WALK_M, (memory[SLOPE], memory[SLOPE_SIGMA]), _CODE_MEMORY_S,
+    )  # fmt: skip
+
+
+@kernel
+def solve_pair(
+    f: Filter, rover: Signals, base: Signals, located: Located, channel: NDArray[np.int8], klobuchar: Vector, known: Known, setup: Setup
+) -> Solved:
+    """Return the relative solution of a rover epoch, ``located`` by its single point, and a base epoch; both are matched here."""
+    d = differences_of(f, rover, base, located, channel, klobuchar, known.base_ecef_m, known.times_s, setup)
+    return solve(f, d, known, setup)
+
+
+@kernel
+def differences_of(
+    f: Filter, rover: Signals, base: Signals, located: Located, channel: NDArray[np.int8], klobuchar: Vector, base_ecef_m: Vector,
+    times_s: Vector, setup: Setup,
+) -> Differences:  # fmt: skip
+    """Return the single differences of the signals that both epochs have; the first two of ``times_s`` are theirs."""
+    length_m = sqrt(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2)
+    given = conditions(setup, length_m, times_s[0] - times_s[1], times_s[1])
+    return observe(rover, base, match(rover, base, setup.rules), located, channel, klobuchar, base_ecef_m + f.x[:3], base_ecef_m, given)
+
+
+@kernel
+def solve(before: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
+    """Return the relative solution of single differences: the steps of an epoch."""
+    figures, time_s, model_ecef_m = np.zeros(FIGURES), known.times_s[0], known.base_ecef_m + before.x[:3]
+    if distinct(d.pairs.satellite, np.isfinite(d.table[:, CODE])) < 4:
+        return Solved(FEW_COMMON, before, before.x, before.P, figures, np.zeros((0, 0)))
+    length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
+    atmosphere = 2 if length_m > LONG_BASELINE_M else 0
+    arranged = lay_out(before, d, known.times_s, setup.slip, walks_of(setup, length_m, known.memory), setup.phases, atmosphere)
+    f, layout = arranged.filter, arranged.layout
+    predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
+    outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
+    if not outcome.ok or not is_finite(f.x, f.P):
+        return Solved(NOT_FINITE, f, f.x, f.P, figures, np.zeros((0, 0)))
+    remember(f, d, layout, outcome.phase_used, time_s)
+    resolution = not_resolved()
+    if setup.resolving:
+        candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
+        resolution = resolve(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
+    describe_resolution(resolution, figures)
+    describe_fit(d, layout, outcome, figures)
+    if not resolution.fixed:
+        return Solved(
+            SOLVED, f, f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), figures, describe_pairs(f, d, layout, outcome, False, time_s)
+        )
+    known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
+    return Solved(SOLVED, f, resolution.x, resolution.P, figures, describe_pairs(f, d, layout, outcome, True, time_s))
+
+
+@kernel
+def predict_fix(known: Known, arranged: Arranged, model_ecef_m: Vector, base_moves: bool) -> None:
+    """Carry the last fix on by the motion that the phases show."""
+    last = known.prediction
+    if not isfinite(last[3]) or arranged.redundancy < 1 or base_moves:
+        last[:] = np.nan
+        return
+    for i in range(3):
+        last[i] += model_ecef_m[i] - known.last_model_ecef_m[i] + arranged.motion_m[i]
+    cov = arranged.motion_cov_m2
+    last[3] += sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
