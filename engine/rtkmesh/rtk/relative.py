@@ -11,7 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.matching import Rules, distinct, match
-from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM
+from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, learn_phases, phase_factor
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
@@ -140,6 +140,9 @@ def solve(before: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         resolution = resolve(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
+    if resolution.fixed and resolution.grade >= 2:
+        squares = (outcome.phase_chi2 + resolution.norm) * phase_factor(known.scale)
+        learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     if not resolution.fixed:
