@@ -54,6 +54,9 @@ JOIN_TRIES: Final = 4  # all of the new ones, then without the newer, at last th
 SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geodesy 86:139-148: up to 25 mm on L1)
 SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 PREDICTION_LIMIT_M: Final = 0.05  # by how much a fix may leave the prediction, beyond 4 sigma of both
+PREDICTION_FLOOR_M: Final = 0.02  # sigma of a prediction beside that of the motion since the last fix
+SHARP_M: Final = 0.25  # beyond this a prediction tells little that the float solution does not
+SELF_RELIANT: Final = 5  # so many held integers need no prediction
 LARGE_COUNT: Final = 24
 SEARCH_EVERY: Final = 5  # epochs between free searches of a large set that has been confirmed
 GLONASS_EPOCHS: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
@@ -154,14 +157,33 @@ def resolve(f: Filter, everything: Candidates, memory: Vector, setup: ResolveSet
     held = pairs_of(take(everything, _is_held(f, everything)))
     free = _free_search(f, candidates, len(held), memory, setup)
     if len(held) >= 3:
-        _watch(f, held, free, memory, setup)
+        _watch(f, held, free, memory, setup, prediction)
         held = pairs_of(take(everything, _is_held(f, everything)))
+    helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
+    aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
-        _try_new(f, candidates, everything, free, memory, setup, time_s)
+        _try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s)
     else:
-        _join(f, candidates, held)
+        _join(f, aided, candidates, held)
         _learn_glonass(f, everything, held, memory, setup)
     return _fix(f, everything, free, memory, setup, prediction, time_s)
+
+
+@kernel
+def with_prediction(f: Filter, prediction: Vector) -> Filter:
+    """Return the filter that also knows where the last fix and the phases since put the rover."""
+    n, variance = len(f.x), (PREDICTION_FLOOR_M + prediction[3]) ** 2
+    x, P, gain = f.x.copy(), f.P.copy(), np.empty(n)
+    for i in range(3):
+        spread = P[i, i] + variance
+        innovation = prediction[i] - x[i]
+        for a in range(n):
+            gain[a] = P[a, i] / spread
+            x[a] += gain[a] * innovation
+        for a in range(n):
+            for b in range(n):
+                P[a, b] -= gain[a] * gain[b] * spread
+    return Filter(x, P, f.keys, f.history)
 
 
 @kernel
@@ -191,12 +213,16 @@ def _free_search(f: Filter, candidates: Candidates, held: int, memory: Vector, s
 
 @kernel
 def _try_new(
-    f: Filter, candidates: Candidates, everything: Candidates, free: Search, memory: Vector, setup: ResolveSetup, time_s: float
-) -> None:
-    """Look for integers without any that are held."""
+    f: Filter, aided: Filter, helped: bool, candidates: Candidates, everything: Candidates, free: Search, memory: Vector,
+    setup: ResolveSetup, time_s: float,
+) -> None:  # fmt: skip
+    """Look for integers without any that are held; ``aided`` is the filter that knows a prediction, where that ``helped``."""
     _release(f)
     memory[HELD_SINCE_S] = np.inf
     best, level, penalty, wide = free, f, 0.0, False
+    if not _strong(best, 0.0, setup) and helped and len(candidates.row) > 1:
+        found = _search(aided, candidates, setup)
+        best = found if found.odds > best.odds else best
     if not _strong(best, 0.0, setup) and len(candidates.row) > 1:
         other = _best_subset(f, candidates, setup, time_s)
         if other.odds > best.odds:
@@ -332,7 +358,7 @@ def _follow(f: Filter, found: Search, memory: Vector, time_s: float) -> None:
 
 
 @kernel
-def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: ResolveSetup) -> None:
+def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector) -> None:
     """Let the float solution speak against what is held; release it when the doubt lasts."""
     integers, n = held_differences(f, held), len(held)
     norm = _norm(f, held, integers)
@@ -348,7 +374,7 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
                 memory[SHOWN] = 1.0
         else:
             doubt = doubt or log_odds(_norm(f, held, other), norm, n) > RELEASE
-    _note(f, doubt, memory)
+    _note(f, doubt, memory, prediction)
 
 
 @kernel
@@ -358,18 +384,21 @@ def _norm(f: Filter, pairs: Indices, integers: Vector) -> float:
 
 
 @kernel
-def _note(f: Filter, doubt: bool, memory: Vector) -> None:
-    """Count doubts in a row; release what is held when they last."""
+def _note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
+    """Count doubts in a row; release what is held when they last, and forget where it put the rover."""
     memory[DOUBTS] = memory[DOUBTS] + 1.0 if doubt else max(memory[DOUBTS] - 1.0, 0.0)
     if memory[DOUBTS] >= RELEASE_EPOCHS:
         _release(f)
+        prediction[:] = np.nan
         memory[DOUBTS], memory[STREAK_EPOCHS], memory[SHOWN] = 0.0, 0.0, 0.0
         memory[TRUSTS_GLONASS], memory[GLONASS_VOTES] = 0.0, 0.0
 
 
 @kernel
-def _join(f: Filter, candidates: Candidates, held: Indices) -> None:
-    """Give integers to ambiguities that the held ones determine: all of the new ones, or without the newer, at last the oldest alone."""
+def _join(f: Filter, aided: Filter, candidates: Candidates, held: Indices) -> None:
+    """Give integers to ambiguities that the held ones (and a prediction) determine: all of the new ones, or without the newer, at last the
+    oldest alone.
+    """
     known = _is_held(f, candidates)
     new = np.empty(len(known), np.bool_)
     for k in range(len(known)):
@@ -388,7 +417,7 @@ def _join(f: Filter, candidates: Candidates, held: Indices) -> None:
     wanted = np.empty(2 * count, np.int64)
     wanted = wanted[: pack_pairs(pairs, wanted)]
     x, P = np.empty(len(wanted)), np.empty((len(wanted), len(wanted)))
-    norm = condition(f.x, f.P, held, held_differences(f, held), 0.0, wanted, x, P)
+    norm = condition(aided.x, aided.P, held, held_differences(f, held), 0.0, wanted, x, P)
     if norm == np.inf:
         return
     scale, ages = max(1.0, norm / len(held)), _ages(f, rows)
@@ -456,7 +485,7 @@ def _fix(
         elif sigma_m > FIX_SIGMA_M:
             reason = TOO_UNCERTAIN
         elif isfinite(prediction[3]) and _distance_m(x, prediction) > PREDICTION_LIMIT_M + 4.0 * (prediction[3] + sigma_m):
-            _note(f, True, memory)
+            _note(f, True, memory, prediction)
             reason = NOT_VALID
         else:
             grade = 1 + (1 if memory[CONFIRMED] > 0.0 else 0)
