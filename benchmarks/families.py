@@ -21,8 +21,9 @@ Random = np.random.Generator
 _OPEN: Final = 90  # epochs of a run at 1 Hz
 _LONG: Final = 150
 _SETTLED_S: Final = 20  # faults come once the solver has begun
-_TRAJECTORIES: Final = (static, driving, boat, walking)
-_BASE: Final = replace(SURVEY, steered=True)
+# Motions, and how long (s) multipath hangs together on them: as long as the sky takes to turn (Irsigler 2008), or the vehicle to move on.
+_MOTIONS: Final = ((static, 150.0), (driving, 5.0), (boat, 15.0), (walking, 12.0))
+_BASE: Final = replace(SURVEY, steered=True, signals=SURVEY.signals._replace(multipath_time_s=150.0))
 _EARTH_M: Final = 6.371e6
 # Which systems rover and base have in common, and how often: old bases send GPS alone or GPS and GLONASS, new ones all.
 _SYSTEMS: Final = ("G", "GR", "GE", "GREC")
@@ -38,10 +39,6 @@ class Family:
     make: Callable[[Random], Setup]
 
 
-def _motion(rng: Random) -> Trajectory:
-    return _TRAJECTORIES[int(rng.integers(len(_TRAJECTORIES)))]
-
-
 def _place(rng: Random, shortest_m: float = 50.0, longest_m: float = 5000.0) -> Offset:
     """Return a place of a base, all orders of distance alike; it stands on the round earth."""
     distance_m = float(np.exp(rng.uniform(np.log(shortest_m), np.log(longest_m))))
@@ -50,14 +47,15 @@ def _place(rng: Random, shortest_m: float = 50.0, longest_m: float = 5000.0) -> 
     return distance_m * sin(azimuth), distance_m * cos(azimuth), up_m
 
 
-def _open(rng: Random, rover: ReceiverOptions, *, frequencies: int = 2, epochs: int = _OPEN) -> Setup:
-    """Return a run under an open sky, 50 m to 5 km from the base."""
+def _open(
+    rng: Random, rover: ReceiverOptions, *, frequencies: int = 2, epochs: int = _OPEN, motion: tuple[Trajectory, float] | None = None
+) -> Setup:
+    """Return a run under an open sky, 50 m to 5 km from the base; ``motion``: one of _MOTIONS by default."""
     options = RtkOptions(frequencies=frequencies)
     common = "".join(s for s in str(rng.choice(_SYSTEMS, p=_SHARES)) if s in rover.systems)
-    return Setup(
-        epochs=epochs, options=options, trajectory=_motion(rng), rover=replace(rover, systems=common, frequencies=frequencies), base=_BASE,
-        base_enu_m=_place(rng),
-    )  # fmt: skip
+    trajectory, multipath_s = motion or _MOTIONS[int(rng.integers(len(_MOTIONS)))]
+    receiver = replace(rover, systems=common, frequencies=frequencies, signals=rover.signals._replace(multipath_time_s=multipath_s))
+    return Setup(epochs=epochs, options=options, trajectory=trajectory, rover=receiver, base=_BASE, base_enu_m=_place(rng))
 
 
 def _open_dual(rng: Random) -> Setup:
@@ -66,24 +64,20 @@ def _open_dual(rng: Random) -> Setup:
 
 def _urban(rng: Random) -> Setup:
     """A car in streets of 20 m between houses of 8 to 40 m; the receiver slips where signals are weak and misses some of it."""
-    signals = F9P.signals._replace(multipath_time_s=5.0, weak_slips_per_hour=60.0, untold_share=0.05)
+    noise = F9P.signals._replace(weak_slips_per_hour=60.0, untold_share=0.05)
     houses = city(int(rng.integers(2**31)), float(rng.uniform(8.0, 40.0)))
-    return replace(
-        _open(rng, replace(F9P, signals=signals), epochs=_LONG),
-        trajectory=streets,
-        surroundings=houses,
-        base_enu_m=_place(rng, 300.0, 3000.0),
-    )
+    run = _open(rng, replace(F9P, signals=noise), epochs=_LONG, motion=(streets, 5.0))
+    return replace(run, surroundings=houses, base_enu_m=_place(rng, 300.0, 3000.0))
 
 
 def _forest(rng: Random) -> Setup:
     """A walk under trees, from light to dense; fast fading, many slips, half cycles."""
-    signals = F9P.signals._replace(
-        multipath_time_s=4.0, fading_sigma_db=3.0, fading_time_s=1.0, slips_per_hour=10.0, weak_slips_per_hour=120.0, untold_share=0.05,
+    noise = F9P.signals._replace(
+        fading_sigma_db=3.0, fading_time_s=1.0, slips_per_hour=10.0, weak_slips_per_hour=120.0, untold_share=0.05,
         half_cycle_share=0.5,
     )  # fmt: skip
     trees = forest(int(rng.integers(2**31)), float(rng.uniform(0.2, 1.0)))
-    return replace(_open(rng, replace(F9P, signals=signals), epochs=_LONG), trajectory=walking, surroundings=trees)
+    return replace(_open(rng, replace(F9P, signals=noise), epochs=_LONG, motion=(walking, 4.0)), surroundings=trees)
 
 
 # --- faults of single satellites ---
@@ -152,13 +146,13 @@ def _tunnel(rng: Random) -> Setup:
         Outage(float(rng.integers(88, 95)), 10.0, radians(35.0)),
         Outage(float(rng.integers(105, 115)), float(rng.integers(3, 16))),
     )
-    return replace(_open(rng, F9P, epochs=_LONG), trajectory=driving, outages=outages)
+    return replace(_open(rng, F9P, epochs=_LONG, motion=(driving, 5.0)), outages=outages)
 
 
 def _dive(rng: Random) -> Setup:
     """A boat that dives once for 10 to 120 s and stays up for half a minute after it."""
     length = int(rng.integers(10, 121))
-    return replace(_open(rng, F9P, epochs=30 + length + 35), trajectory=boat, outages=(Outage(30.0, float(length)),))
+    return replace(_open(rng, F9P, epochs=30 + length + 35, motion=(boat, 15.0)), outages=(Outage(30.0, float(length)),))
 
 
 # --- faults of the base ---
@@ -211,11 +205,9 @@ def _moving_base(rng: Random) -> Setup:
     forward, right = float(rng.uniform(0.5, 2.0)), float(rng.uniform(-0.5, 0.5))
     known = rng.random() < 0.5
     options = RtkOptions(mode=Mode.MOVING_BASE, baseline_length_m=hypot(forward, right) if known else None)
-    base = replace(F9P, clock_drift=-1.7e-7)
-    return replace(
-        _open(rng, F9P), trajectory=driving if rng.random() < 0.5 else boat, base=base, base_moves=True, options=options,
-        base_enu_m=(forward, right, -1.5),
-    )  # fmt: skip
+    run = _open(rng, F9P, motion=(driving, 5.0) if rng.random() < 0.5 else (boat, 15.0))
+    base = replace(run.rover, clock_drift=-1.7e-7)
+    return replace(run, base=base, base_moves=True, options=options, base_enu_m=(forward, right, -1.5))
 
 
 FAMILIES: Final = (
