@@ -33,7 +33,9 @@ import kernel_cache  # noqa: F401  first of all
 from bounds import clopper_pearson
 from families import FAMILIES, Family
 from results import table
+from rtkmesh.gnss.signals import satellite_id, signal_code
 from rtkmesh.rtk.solution import Reason, Solution, Status
+from rtkmesh.simulation.sky import absolute_s
 from score_pos import longest_run
 from simulated import Judged, judge, simulate, solve
 
@@ -192,6 +194,10 @@ def trace(family: Family, seed: int, run: int) -> Iterator[str]:
     tag = simulated.rover[0].epoch.time
     length_m = np.linalg.norm(simulated.baseline_ecef_m[0])
     yield f"{family.name} run {run} seed {seed}: starts {tag.week} {tag.tow_s:.0f}, baseline {length_m:.1f} m"
+    for side, d in simulated.disturbances:
+        signal = "all signals" if d.signal is None else signal_code(d.signal)
+        about = f"code {d.code_m:+.1f} m {d.code_rate_mps:+.2f} m/s, phase {d.phase_cyc:+.0f} cycles"
+        yield f"fault of the {side} from epoch {d.start_s - absolute_s(tag):.0f}: {satellite_id(d.satellite)} {signal}, {about}"
     yield "epoch status reason               error E, N, U m               sigma 3D m   sq/3  ratio grade fixed/amb sats age s"
     for k, solution in enumerate(solutions):
         mark = " WRONG" if judged.wrong[k] else ""

@@ -21,7 +21,7 @@ Random = np.random.Generator
 _OPEN: Final = 90  # epochs of a run at 1 Hz
 _LONG: Final = 150
 _SETTLED_S: Final = 20  # faults come once the solver has begun
-# Motions, and how long (s) multipath hangs together on them: as long as the sky takes to turn (Irsigler 2008), or the vehicle to move on.
+# Motions, and how long (s) multipath hangs together on them: as the sky turns (minutes), or as the vehicle moves on; our choice.
 _MOTIONS: Final = ((static, 150.0), (driving, 5.0), (boat, 15.0), (walking, 12.0))
 _BASE: Final = replace(SURVEY, steered=True, signals=SURVEY.signals._replace(multipath_time_s=150.0))
 _EARTH_M: Final = 6.371e6
@@ -73,7 +73,7 @@ def _urban(rng: Random) -> Setup:
 def _forest(rng: Random) -> Setup:
     """A walk under trees, from light to dense; fast fading, many slips, half cycles."""
     noise = F9P.signals._replace(
-        fading_sigma_db=3.0, fading_time_s=1.0, slips_per_hour=10.0, weak_slips_per_hour=120.0, untold_share=0.05,
+        fading_sigma_db=3.0, fading_time_s=1.0, slips_per_hour=20.0, weak_slips_per_hour=120.0, untold_share=0.05,
         half_cycle_share=0.5,
     )  # fmt: skip
     trees = forest(int(rng.integers(2**31)), float(rng.uniform(0.2, 1.0)))

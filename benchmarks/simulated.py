@@ -91,6 +91,7 @@ class Simulated:
     base_ecef_m: Vector
     rover_epochs: list[Epoch]
     base_epochs: list[Epoch | None]
+    disturbances: list[tuple[str, Disturbance]]
 
 
 def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
@@ -116,6 +117,7 @@ def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
     return Simulated(
         setup, seed, start, site, seen, base, np.array([o.position_ecef_m for o in seen]) - moved, base_ecef_m,
         [disturbed(o.epoch, on_rover) for o in seen], [None if b is None else disturbed(b.epoch, on_base) for b in base],
+        [*(("rover", d) for d in on_rover), *(("base", d) for d in on_base)],
     )  # fmt: skip
 
 

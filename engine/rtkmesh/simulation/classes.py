@@ -1,4 +1,4 @@
-"""Receivers by class, each with the noise that recordings and data sheets of its kind show. Sigmas are at 45 dB-Hz."""
+"""Receivers by class. Sigmas are at 45 dB-Hz; all of them are our choice, of the size that recordings of the kind show."""
 
 from math import radians
 from typing import Final
@@ -6,7 +6,7 @@ from typing import Final
 from rtkmesh.simulation.receiver import ReceiverOptions
 from rtkmesh.simulation.tracking import SignalOptions
 
-# Survey antenna with ground plane: codes to 0.15 m, phases below a millimetre (Septentrio PolaRx5 and Trimble NetR9 data sheets).
+# Geodetic receiver and antenna with ground plane.
 SURVEY: Final = ReceiverOptions(
     signals=SignalOptions(
         code_sigma_m=0.15, phase_sigma_m=0.0008, code_multipath_m=0.3, phase_multipath_m=0.002, slips_per_hour=0.2, zenith_cn0_dbhz=51.0,
@@ -15,10 +15,9 @@ SURVEY: Final = ReceiverOptions(
     elevation_mask_rad=radians(5.0),
     clock_drift=2e-8,
 )  # fmt: skip
-# u-blox ZED-F9P with a dual-band patch on a small ground plane (Odolinski and Teunissen 2020: codes 0.3 to 0.8 m, phases 2 to 3 mm
-# with multipath).
+# Like a u-blox ZED-F9P with a dual-band patch on a small ground plane.
 F9P: Final = ReceiverOptions(signals=SignalOptions(), clock_drift=3.1e-7)
-# u-blox NEO-M8P or M8T with a single-band patch (the same source's single-frequency set: codes about twice as noisy; two systems).
+# Like a u-blox NEO-M8P or M8T with a single-band patch: codes about twice as noisy, two systems.
 M8: Final = ReceiverOptions(
     signals=SignalOptions(
         code_sigma_m=0.45, phase_sigma_m=0.0015, code_multipath_m=1.3, phase_multipath_m=0.004, slips_per_hour=2.0, zenith_cn0_dbhz=47.0,

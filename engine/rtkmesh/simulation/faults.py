@@ -39,10 +39,10 @@ def disturbed(epoch: Epoch, disturbances: Sequence[Disturbance]) -> Epoch:
 
 
 def with_orbit_error(ephemeris: Ephemeris, seed: int) -> Ephemeris:
-    """Return an ephemeris as wrong as real broadcast ones: 1 m along the orbit and across it (GLONASS 1.5 m in every direction).
+    """Return an ephemeris about as wrong as real broadcast ones: 1 m along the orbit and across it (GLONASS 1.5 m in every direction).
 
-    Montenbruck, Steigenberger and Hauschild 2015 (GPS Solut 19:321-333): orbit errors of GPS 0.7, Galileo 1.0, BeiDou 1.5, GLONASS 2 m.
-    The error belongs to satellite and seed, whatever the issue; clocks cancel between receivers and are left alone.
+    Our choice; the errors in range, clocks included, are 0.7 m (GPS) to 1.9 m (GLONASS) (Montenbruck, Steigenberger and Hauschild 2015,
+    GPS Solut 19:321-333). The error belongs to satellite and seed, whatever the issue; clocks cancel between receivers and are left alone.
     """
     along, across, out = np.random.default_rng((seed, ephemeris.satellite, 7004)).standard_normal(3).tolist()
     if isinstance(ephemeris, GlonassEphemeris):

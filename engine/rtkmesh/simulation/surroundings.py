@@ -21,7 +21,7 @@ Matrix = NDArray[np.float64]
 ATTENUATION_DB, EXTRA_M, EXTRA_RATE_MPS, CODE_SIGMA_M, PHASE_SIGMA_M, PATH = range(6)
 VIEW: Final = 6
 
-BLOCK_M: Final = 90.0  # from street to street: blocks of European inner cities measure 60 to 120 m
+BLOCK_M: Final = 90.0  # from street to street: our choice, as in many European inner cities
 STREET_HALF_WIDTH_M: Final = 10.0
 
 _LARGEST_M: Final = 200.0  # walls farther away are below 7 degrees at the heights of here
@@ -30,18 +30,18 @@ _HEIGHT_SIGMA: Final = 0.35  # of the logarithm
 _OPEN_SHARE: Final = 0.15  # of blocks without buildings: squares and parks
 _GRID: Final = 32  # blocks after which the city repeats itself
 _L1_M: Final = 0.1903
-# A wall gives back -6 to -10 dB of a signal at L1 (ITU-R P.1238 and P.2040: glass, concrete), and an antenna for right-handed waves
-# loses another few on what comes back left-handed.
+# Our choice: a wall gives back a third of the amplitude or so, and an antenna for right-handed waves loses a little more on what comes
+# back left-handed.
 _REFLECTION_DB: Final = 11.0
-_COHERENT_M: Final = 15.0  # reflections that are longer hardly move a narrow correlator's code (van Nee 1993)
+_COHERENT_M: Final = 15.0  # our choice: a narrow correlator's code follows longer reflections no farther
 
-# ITU-R P.833-9, section 2.1: attenuation A = Am (1 - exp(-gamma d / Am)); at 1.6 GHz gamma is 0.2 to 0.5 dB/m, Am 10 to 20 dB.
-_FOLIAGE_DB_PER_M: Final = 0.35
-_FOLIAGE_LARGEST_DB: Final = 18.0
+# The form A = Am (1 - exp(-gamma d / Am)) is that of ITU-R P.833 (attenuation in vegetation); the numbers are our choice for L1.
+_FOLIAGE_DB_PER_M: Final = 0.6
+_FOLIAGE_LARGEST_DB: Final = 22.0
 _CANOPY_M: Final = 14.0  # depth of the crowns of grown trees
 _CANOPY_CELL_M: Final = 12.0  # distance of trees
-_SCATTER_CODE_M: Final = 1.2  # under dense canopy, on top of the antenna's own multipath
-_SCATTER_PHASE_M: Final = 0.006
+_SCATTER_CODE_M: Final = 2.5  # our choice: under dense canopy, on top of the antenna's own multipath
+_SCATTER_PHASE_M: Final = 0.015
 
 # Writes the view (satellites, VIEW) at a place: offset (m) and velocity (m/s) in the site's ENU, azimuths and elevations (rad).
 Surroundings = Callable[[Vector, Vector, Vector, Vector, Matrix], None]
@@ -74,7 +74,7 @@ def forest(seed: int, density: float) -> Surroundings:
 
 @kernel
 def diffraction_db(shadow: float) -> float:
-    """Return the loss over a knife edge (ITU-R P.526-15, equation 31); ``shadow`` is its parameter v, positive in the shadow."""
+    """Return the loss over a single knife edge (ITU-R P.526); ``shadow`` is its parameter v, positive in the shadow."""
     if shadow <= -0.78:
         return 0.0
     return 6.9 + 20.0 * log10(sqrt((shadow - 0.1) ** 2 + 1.0) + shadow - 0.1)

@@ -38,8 +38,8 @@ _OMEGA = OMEGA_EARTH_GPS_RADPS
 _REFERENCE_CN0 = 45.0  # dB-Hz at which the sigmas of the options hold
 _WARM_LOCK_S = 60.0
 _SECOND_SIGNAL_DELAY_S = 1.0  # the second frequency is acquired after the first
-_WEAK_CN0_DBHZ = 28.0  # where a phase lock loop begins to slip (Kaplan and Hegarty 2017, 8.4: jitter of 15 degrees at 10 to 18 Hz)
-_WEAK_SLOPE_DB = 2.5  # the rate of slips grows tenfold for so many dB less (exponential in the loop's signal to noise ratio)
+_WEAK_CN0_DBHZ = 28.0  # our choice: about where the phase loops of robots' receivers begin to slip
+_WEAK_SLOPE_DB = 2.5  # our choice: tenfold slips for so many dB less (the mean time to a slip is exponential in the loop's noise)
 
 
 class SignalOptions(NamedTuple):
