@@ -1,4 +1,4 @@
-"""Measured figures into pages: the tables of results.md and the block of README.md, each between its pair of markers."""
+"""Measured figures into pages: the tables of RESULTS.md and the block of README.md, each between its pair of markers."""
 
 import platform
 import re
@@ -14,7 +14,7 @@ from rtkmesh import __version__
 Row = dict[str, Any]
 Report = dict[str, dict[str, Row]]
 
-RESULTS: Final = REPOSITORY / "benchmarks" / "results.md"
+RESULTS: Final = REPOSITORY / "benchmarks" / "RESULTS.md"
 README: Final = REPOSITORY / "README.md"
 
 _COLUMNS: Final = (
