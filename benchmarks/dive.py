@@ -78,9 +78,11 @@ def mission(receiver: ReceiverOptions, frequencies: int, rng: np.random.Generato
         outages += [Outage(float(at), float(length)), Outage(float(at + length), _WAVES_S, _WAVES_BELOW_RAD)]
         surfacings.append((at + length, at + length + _SURFACE_S))
         at += length + _SURFACE_S
-    base = replace(SURVEY, steered=True)
+    signals = SURVEY.signals._replace(multipath_time_s=150.0, glonass_slope_m=0.02 * float(rng.standard_normal()))
+    base = replace(SURVEY, steered=True, signals=signals)
     setup = Setup(
-        epochs=at, options=RtkOptions(frequencies=frequencies), trajectory=boat, rover=receiver, base=base, base_enu_m=(800.0, -600.0, 5.0),
+        epochs=at, options=RtkOptions(frequencies=frequencies), trajectory=boat,
+        rover=replace(receiver, signals=receiver.signals._replace(multipath_time_s=15.0)), base=base, base_enu_m=(800.0, -600.0, 5.0),
         outages=tuple(outages),
     )  # fmt: skip
     run = simulate(setup, rng)

@@ -22,6 +22,7 @@ from rtkmesh.simulation.receiver import Receiver
 from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, broadcast
 from rtkmesh.simulation.trajectories import AntennaPath, Site, driving
 
+pytestmark = pytest.mark.slow  # without compilation; with it, seconds
 START = GpsTime(2445, 100000.0)
 SITE = Site(radians(47.0), radians(8.0), 400.0)
 EPOCHS = 14
@@ -256,7 +257,6 @@ def test_flags_and_channels_of_any_value_never_raise(scene: Scene, data: st.Data
         consistent(solution)
 
 
-@pytest.mark.slow
 def test_thousands_of_updates_keep_covariances_positive():
     """Five minutes at 10 Hz with the few satellites above 30 degrees: no reset, no covariance that is not positive definite.
 
