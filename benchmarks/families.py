@@ -25,7 +25,7 @@ _SETTLED_S: Final = 20  # faults come once the solver has begun
 _MOTIONS: Final = ((static, 150.0), (driving, 5.0), (boat, 15.0), (walking, 12.0))
 _BASE: Final = replace(SURVEY, steered=True, signals=SURVEY.signals._replace(multipath_time_s=150.0))
 _EARTH_M: Final = 6.371e6
-_SLOPE_SIGMA_M: Final = 0.02  # of GLONASS delays per channel between receivers of two makes; our choice, of the size of Wanninger 2012's
+_SLOPE_SIGMA_M: Final = 0.02  # of GLONASS delays per channel between receivers of two makes; our choice
 # Which systems rover and base have in common, and how often: old bases send GPS alone or GPS and GLONASS, new ones all.
 _SYSTEMS: Final = ("G", "GR", "GE", "GREC")
 _SHARES: Final = (0.15, 0.25, 0.2, 0.4)
