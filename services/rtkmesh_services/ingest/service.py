@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -245,6 +246,7 @@ def consumers_of(context: Context) -> list[str]:
     return [name for name, solver in context.deployment.solver.items() if context.id in (solver.rover, solver.base, *solver.navigation)]
 
 
+@cache
 def warm_decoder() -> None:
     """Decode an epoch of each protocol that receivers send, so that the kernels are compiled or loaded before the first byte."""
     start = GpsTime(2400, 0.0)
@@ -262,6 +264,9 @@ def warm_decoder() -> None:
     for data in (encode_rawx(epoch), *encode_epoch(epoch, 1)):
         decoder.feed(data)
     decoder.flush()
+
+
+preload = warm_decoder
 
 
 def create(context: Context) -> Service:

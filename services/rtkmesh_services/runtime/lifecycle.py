@@ -6,6 +6,7 @@
 import os
 import platform
 import threading
+from collections.abc import Callable
 from typing import Final
 
 import msgspec
@@ -30,13 +31,13 @@ _HOST: Final = platform.node()
 class Lifecycle:
     """One service and its loop. ``start``, then ``step`` until ``ended``, then ``finish``."""
 
-    def __init__(self, service: Service, *, warm_in_thread: bool = True) -> None:
+    def __init__(self, service: Service, *, warm_in_thread: bool = True, on_open: Callable[[], object] = int) -> None:
         self.service = service
         self.context = service.context
         self._state, self._reason = State.STARTING, ""
         self._desk = CommandDesk(service, self._status_now, self.end)
         self._namesake = Namesake(self.context)
-        self._warm_in_thread = warm_in_thread
+        self._warm_in_thread, self._on_open = warm_in_thread, on_open
         self._warmed = threading.Event()
         self._warm_error: BaseException | None = None
         self._handles: list[Handle] = []
@@ -150,6 +151,7 @@ class Lifecycle:
         self._desk.opened = True
         self._token = self.context.bus.live_token(self.context.role.value, self.context.id)
         self._next_tick_ns = self.context.clock.mono_ns()
+        self._on_open()
 
     def _tick(self, now_ns: int) -> None:
         self._next_tick_ns = now_ns + round(self.service.tick_s * 1e9)

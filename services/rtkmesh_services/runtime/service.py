@@ -1,7 +1,8 @@
 """What every process is made of: a ``Service`` and its ``Context``. This page is all that a role needs to know.
 
 A role's package has ``service.py`` with ``create(context: Context) -> Service``; ``rtkmesh run ROLE --id ID --config FILE``
-finds it by that name. One thread, the work loop, calls all hooks except ``warm``:
+finds it by that name; with ``preload() -> None`` beside it, what all processes of a role load is loaded once by ``rtkmesh up``
+(in a process without threads that they are forked from). One thread, the work loop, calls all hooks except ``warm``:
 
     class Solver(Service):
         role = Role.SOLVER

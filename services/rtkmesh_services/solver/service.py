@@ -297,6 +297,9 @@ def replace_streams(table: SolverTable, current: SolverTable) -> SolverTable:
     return msgspec.structs.replace(table, rover=current.rover, base=current.base, navigation=current.navigation)
 
 
+preload = warm_engine
+
+
 def create(context: Context) -> Service:
     """Return the solver service of a context."""
     return SolverService(context)
