@@ -19,6 +19,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.service import AttitudeService
+from rtkmesh_services.errors import NamesakeError
 from rtkmesh_services.ingest.links import Chunk
 from rtkmesh_services.ingest.service import IngestService
 from rtkmesh_services.output.service import OutputService
@@ -214,19 +215,28 @@ def test_a_restarted_ingest_is_taken_up_again(world: World) -> None:
     world.play(10)
     world.lives["rover"].finish()
     world.begin("rover")
-    world.play(15)
+    world.play(1)
+    assert world.solutions()[-1].tow_s == pytest.approx(START.tow_s + 10 / RATE_HZ), "its first epoch is solved"
+    world.play(14)
     assert world.solutions()[-1].status_name == "FIX"
     assert world.solutions()[-1].tow_s == pytest.approx(START.tow_s + 24 / RATE_HZ)
+    assert "of_another_process" not in world.status("rtk").inputs[0].counters
 
 
 def test_a_second_process_of_the_same_id_is_named_and_not_listened_to(world: World) -> None:
-    """Another vehicle's rover on the same network, by mistake under the same id."""
-    stranger = Context(id="rover", role=Role.INGEST, deployment=world.deployment, bus=MemoryBus("rover", world.network), clock=world.clock)
-    world.lives["stranger"] = Lifecycle(IngestService(stranger), warm_in_thread=False)
+    """Another vehicle's rover on the same network, by mistake under the same id: it gives way, being the younger one."""
     world.play(5)
-    world.lives["stranger"].start()
-    world.lives["stranger"].step(0.0)
+    stranger = Context(id="rover", role=Role.INGEST, deployment=world.deployment, bus=MemoryBus("rover", world.network), clock=world.clock)
+    life = world.lives["stranger"] = Lifecycle(IngestService(stranger), warm_in_thread=False)
+    life.start()
+    life.step(0.0)
     world.streams["stranger"] = simulated("heading")
+    with pytest.raises(NamesakeError, match=r"another process has the id 'rover'"):
+        world.play(20)
+    assert stranger.bus.counters["published"] > 5
+    del world.lives["stranger"], world.streams["stranger"]
+    life.finish()
+    world.settle()
     world.play(10)
     fixed = [s for s in world.solutions() if s.status_name == "FIX"]
     assert len(fixed) >= 8

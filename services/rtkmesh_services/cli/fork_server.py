@@ -90,7 +90,7 @@ def become(argv: list[str], environment: dict[str, str], out: int, err: int) -> 
     deadline_s = time.monotonic() + ADOPTION_S
     while os.getppid() != int(parent) and time.monotonic() < deadline_s:
         time.sleep(0.001)  # the middle parent is ending
-    set_title(f"rtkmesh {' '.join(argv)}", argv[argv.index("--id") + 1])
+    set_title(f"rtkmesh {' '.join(argv)}", argv[argv.index("--id") + 1] if "--id" in argv else argv[0])
     sys.argv = ["rtkmesh", *argv]
     gc.enable()
     leave(command_line.run(argv))

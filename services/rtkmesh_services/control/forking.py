@@ -47,14 +47,17 @@ class Forked:
 
 
 class ForkServer:
-    """Starts the server and asks it for processes. All methods belong to the keeper's thread: the server dies with it."""
+    """Starts the server and asks it for processes. All methods belong to the keeper's thread: the server dies with it.
+
+    ``ready``: the roles whose processes it forks.
+    """
 
     def __init__(self, roles: tuple[Role, ...], environment: Mapping[str, str]) -> None:
         self._roles, self._environment = roles, environment
         self._selector: selectors.BaseSelector | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
-        self._ready: set[Role] = set()
+        self.ready: frozenset[Role] = frozenset()
         self._patient_until_s = self._retry_at_s = 0.0
         self._begun = False
 
@@ -86,7 +89,7 @@ class ForkServer:
     def start(self, spec: ProcessSpec) -> Forked | None:
         """Return a forked process, or None: start it as a program."""
         self.read()
-        if self._socket is None or spec.role not in self._ready or spec.argv[0] != sys.executable:
+        if self._socket is None or spec.role not in self.ready or spec.argv[0] != sys.executable:
             return None
         pipes = os.pipe2(os.O_CLOEXEC), os.pipe2(os.O_CLOEXEC)
         try:
@@ -152,13 +155,13 @@ class ForkServer:
 
     def _take(self, message: dict[str, Any]) -> None:
         if "ready" in message:
-            self._ready = {Role(name) for name in message["ready"]}
+            self.ready = frozenset(Role(name) for name in message["ready"])
             self._patient_until_s = 0.0
         elif "error" in message:
             _log.warning("fork server: %s", message["error"])
 
     def _lose(self) -> None:
-        self._ready.clear()
+        self.ready = frozenset()
         if self._socket is not None:
             if self._selector is not None:
                 self._selector.unregister(self._socket)

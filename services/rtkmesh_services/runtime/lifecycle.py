@@ -7,6 +7,7 @@ import os
 import platform
 import threading
 from collections.abc import Callable
+from math import inf
 from typing import Final
 
 import msgspec
@@ -85,6 +86,8 @@ class Lifecycle:
         now_ns = self.context.clock.mono_ns()
         if now_ns >= self._next_tick_ns:
             self._tick(now_ns)
+        elif now_ns >= self._due_ns():
+            self.service.tick(now_ns)
 
     def finish(self, *, error: BaseException | None = None) -> None:
         """Let the service go, answer who still waits, say a last status. The bus stays the caller's to close."""
@@ -134,7 +137,11 @@ class Lifecycle:
         return {**self.context.bus.counters, **self._desk.counters, **dropped}
 
     def _pause_s(self) -> float:
-        return min(max((self._next_tick_ns - self.context.clock.mono_ns()) / 1e9, 0.0), self.service.tick_s)
+        due_ns = min(self._next_tick_ns, self._due_ns())
+        return min(max((due_ns - self.context.clock.mono_ns()) / 1e9, 0.0), self.service.tick_s)
+
+    def _due_ns(self) -> float:
+        return self.service.due_mono_ns() if self._desk.opened else inf
 
     def _warm(self) -> None:
         try:

@@ -14,7 +14,7 @@ finds it by that name; with ``preload() -> None`` beside it, what all processes 
             self.context.subscribe(EPH.key("rover", satellite="*"), lane="rover", history=True)
         def handle(self, item):          # one item of the inbox: a bus Sample, or what own threads put there
             self.context.bus.publish(SOL, message)
-        def tick(self, now_mono_ns):     # at least every ``tick_s``
+        def tick(self, now_mono_ns):     # at least every ``tick_s``, and at ``due_mono_ns()``
         def command(self, request):      # own operations; status, help, config, metrics, log, shutdown are served already
             return accepted("started")   # or: raise CommandError(Code.WRONG_STATE, "already running")
         def report(self):                # cheap: called at every tick; figures are computed only when published
@@ -34,6 +34,7 @@ import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -138,7 +139,11 @@ class Service(ABC):
         """Take one item of the inbox."""
 
     def tick(self, now_mono_ns: int) -> None:  # noqa: B027  a quiet default
-        """Do what time asks for; called at least every ``tick_s``."""
+        """Do what time asks for; called at least every ``tick_s``, and at ``due_mono_ns()``."""
+
+    def due_mono_ns(self) -> float:
+        """Return the instant at which ``tick`` is wanted before its turn; inf: at none. Called after every item."""
+        return inf
 
     def command(self, request: Request) -> Reply:
         """Do one of ``operations`` (others do not come here). CommandError becomes an error reply."""

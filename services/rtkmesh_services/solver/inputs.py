@@ -33,7 +33,7 @@ TYPES: Final[dict[str, type[Numbered]]] = {
 STREAMS: Final = (OBS, EPH, IONO, REF, END)
 CREDIT_EVERY: Final = 8  # messages
 REPLAY_HOLD_S: Final = 10.0  # a replay is worth waiting for what a loaded machine recovers late
-STRANGER_S: Final = 1.0  # a new start of an ingest is believed when the old one has been silent for so long
+STRANGER_S: Final = 1.0  # a new start of an ingest is believed when the old one has left, or has been silent for so long
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +92,10 @@ class InputStream:
             return True
         self._ours_s = now_s
         return False
+
+    def owner_left(self) -> None:
+        """No process of this id is alive any more: the next one to speak is believed at once."""
+        self._ours_s = -inf
 
     def overdue(self, now_s: float) -> Iterator[Arrival]:
         """Yield messages that were held for missing ones for too long."""
