@@ -24,7 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 import rt_load
-from realtime import BASE_ECEF_M, DEPLOYMENT
+from realtime import deployment
 from rtkmesh_schemas.keys import SOL, Role
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.wire import decode
@@ -41,13 +41,13 @@ STAGES = {
     "ingest decode": ("rover.decoded", "bytes -> epoch"),
     "ingest encode": ("rover.encoded", "epoch -> message"),
     "ingest put": ("rover.put", "message -> Zenoh"),
-    "network to solver": ("rtk.arrived", "Zenoh, through the hub"),
-    "solver hand-over": ("rtk.taken", "Zenoh's thread -> work loop"),
-    "solver decode": ("rtk.fed", "message -> epoch"),
-    "pairing": ("rtk.paired", "epoch -> pair"),
-    "solve": ("rtk.solved", "pair -> solution"),
-    "solver encode": ("rtk.encoded", "solution -> message"),
-    "solver put": ("rtk.put", "message -> Zenoh"),
+    "network to solver": ("rtk0.arrived", "Zenoh, through the hub"),
+    "solver hand-over": ("rtk0.taken", "Zenoh's thread -> work loop"),
+    "solver decode": ("rtk0.fed", "message -> epoch"),
+    "pairing": ("rtk0.paired", "epoch -> pair"),
+    "solve": ("rtk0.solved", "pair -> solution"),
+    "solver encode": ("rtk0.encoded", "solution -> message"),
+    "solver put": ("rtk0.put", "message -> Zenoh"),
     "network to user": ("user.arrived", "Zenoh, through the hub"),
 }
 
@@ -167,10 +167,9 @@ def run(data: Path, rate: float, seconds: float) -> dict[str, Any]:
     hub, rover, base = rt_load.free_ports(3)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "deployment.toml"
-        x, y, z = BASE_ECEF_M
-        file.write_text(DEPLOYMENT.format(hub=hub, rover=rover, base=base, x=x, y=y, z=z))
+        file.write_text(deployment(hub, rover, base))
         feeds = [listening(rover), listening(base)]
-        roles = [("hub", "hub"), ("ingest", "rover"), ("ingest", "base"), ("solver", "rtk")]
+        roles = [("hub", "hub"), ("ingest", "rover"), ("ingest", "base"), ("solver", "rtk0")]
         argv = [sys.executable, str(Path(__file__).resolve()), "--child"]
         environment = clean_environment(os.environ, Role.INGEST) | {PARENT_VARIABLE: str(os.getpid())}
         processes = [subprocess.Popen([*argv, role, name, str(file), f"{folder}/{name}.json"], env=environment) for role, name in roles]
@@ -206,7 +205,7 @@ def play(logs: list[Any], feeds: list[socket.socket], hub: str, rate: float, sec
         bus.subscribe(SOL.expression(), take)
         connections = [feed.accept()[0] for feed in feeds]
         deadline = time.monotonic() + CONNECT_S
-        while "rtk" not in bus.live():
+        while "rtk0" not in bus.live():
             if time.monotonic() > deadline:
                 raise TimeoutError(f"the solver did not start within {CONNECT_S:.0f} s")
             time.sleep(0.1)
