@@ -123,7 +123,8 @@ class ControlService(Service):
             return
         reason = f": {row['reason']}" if row["reason"] else ""
         text = f"{row['role']} {row['id']} is {state}{reason}"
-        self.context.event(_LEVELS.get(state, Level.INFO), f"process_{state.lower()}", text, **row)
+        logged = state is not ProcessState.RUNNING or row["restarts"] > 0  # a process says itself that it runs
+        self.context.event(_LEVELS.get(state, Level.INFO), f"process_{state.lower()}", text, logged=logged, **row)
 
 
 def keeper_of(deployment: Deployment, options: LaunchOptions) -> Keeper:

@@ -207,7 +207,8 @@ class IngestService(Service):
         if report.state is LinkState.ERROR:
             self._errors += 1
             if (self._state, self._detail) != (report.state, report.detail):
-                self.context.event(Level.WARNING, "source_error", f"{self._url.scheme} source: {report.detail}")
+                known = self._state is LinkState.ERROR  # else the change of state says it
+                self.context.event(Level.WARNING, "source_error", f"{self._url.scheme} source: {report.detail}", logged=known)
         elif report.state is LinkState.CONNECTED:
             self.context.event(Level.INFO, "source_connected", f"receiving from {report.detail}")
         elif self._state is LinkState.ERROR and report.state is LinkState.CONNECTING:
@@ -217,7 +218,7 @@ class IngestService(Service):
     def _end(self) -> None:
         self._publisher.end()
         self._state, self._detail = LinkState.ENDED, "the recording is at its end"
-        self.context.event(Level.INFO, "source_ended", self._detail)
+        self.context.event(Level.INFO, "source_ended", self._detail, logged=False)
 
     def _sample(self, sample: Sample) -> None:
         if sample.key == WRITE.key(self.context.id):

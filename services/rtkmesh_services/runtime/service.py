@@ -85,9 +85,12 @@ class Context:
 
         return self.bus.subscribe(expression, hand_over, history=history)
 
-    def event(self, level: Level, code: str, text: str, **data: Any) -> None:
-        """Publish that something happened (a stable ``code`` for programs, ``text`` for people) and log it. From any thread."""
-        self.log.log(_LEVELS[level], "%s", text, extra={"fields": {"code": code, **data}})
+    def event(self, level: Level, code: str, text: str, *, logged: bool = True, **data: Any) -> None:
+        """Publish that something happened (a stable ``code`` for programs, ``text`` for people) and log it. From any thread.
+
+        ``logged`` False: the log says it already, as a change of state or in another process.
+        """
+        self.log.log(_LEVELS[level] if logged else logging.DEBUG, "%s", text, extra={"fields": {"code": code, **data}})
         event = Event(
             id=self.id,
             level=level,
