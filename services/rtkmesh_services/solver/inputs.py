@@ -14,7 +14,7 @@ from rtkmesh.rtk.session import EndOfStream as End
 from rtkmesh.rtk.session import Input, Source
 from rtkmesh_schemas.errors import DecodeError, VersionError
 from rtkmesh_schemas.keys import END, EPH, IONO, OBS, REF
-from rtkmesh_schemas.observation import EndOfStream, EphemerisMessage, IonosphereMessage, Observation, ReferenceMessage, Time
+from rtkmesh_schemas.observation import CREDIT_WINDOW, EndOfStream, EphemerisMessage, IonosphereMessage, Observation, ReferenceMessage, Time
 from rtkmesh_schemas.status import InputStatus
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.mapping.navigation import ephemeris_of, glonass_bias_of, klobuchar_of, station_of, wire_time
@@ -83,8 +83,14 @@ class InputStream:
             return
         self.messages[kind] += 1
         anchors = isinstance(message, Observation | EndOfStream)
-        for ordered in self.sequencer.take(message, message.start_id, message.sequence, now_s, anchors=anchors):
+        joins = self._joins(message)
+        for ordered in self.sequencer.take(message, message.start_id, message.sequence, now_s, anchors=anchors, joins=joins):
             yield from self._arrivals(ordered)
+
+    def _joins(self, message: Numbered) -> bool:
+        """Return whether a replay was under way before us: its first epoch is further on than our credit would have allowed."""
+        first = self.replay and self._epochs_of == "" and isinstance(message, Observation)
+        return first and message.sequence > max(self.credited, -1) + CREDIT_WINDOW
 
     def _of_another(self, start_id: str, now_s: float) -> bool:
         """Return whether a message is of a second process with this id, while the first one still speaks."""
