@@ -180,18 +180,19 @@ def main() -> None:
 
 
 def summary(r: dict) -> str:
-    """One line: epochs solved, with their own base epoch, fixed; latency from the later of both streams; cost."""
+    """One line: epochs solved, in time, with their own base epoch, fixed; latency from the later of both streams; cost; load."""
     t = r["targets"][0]
     latency = t.get("latency_from_both_ms") or {}
     parts = [
         f"solved {t['solved_pct']:6.2f} %",
-        f"in time {t['in_time_pct']:6.2f} %",
+        *([f"in time {t['in_time_pct']:6.2f} %"] if t["instances"] > 1 else []),
         f"age 0 {t['age0_pct']:6.2f} %",
         f"fix {t['q_pct'].get('1', 0.0):5.1f} %",
         "ms p50 {p50:7.2f} p99 {p99:7.2f} max {max:7.2f}".format(**latency) if latency else "no latency",
         f"cpu {t.get('cpu_pct_of_core', float('nan')):5.1f} %",
         f"pss {t.get('pss_mib_mean', float('nan')):6.1f} MiB",
         f"first {t.get('spawn_to_first_solution_s', float('nan')):.2f} s",
+        f"load {os.getloadavg()[0]:.1f}",
     ]
     if "after_outage" in t:
         parts.append(f"back: {t['after_outage']}")

@@ -24,7 +24,7 @@ from rtkmesh_services.control.process import PARENT_VARIABLE
 
 PATIENCE_S: Final = 10.0  # how long processes are held for it; a first start that compiles takes longer
 RETRY_S: Final = 10.0
-ANSWER_S: Final = 2.0
+ANSWER_S: Final = 5.0
 REQUEST_BYTES: Final = 65536
 FORKED: Final = (Role.INGEST, Role.SOLVER, Role.ATTITUDE)
 TITLE_BYTES: Final = 240  # of a process's name in `ps`: room in the server's arguments that its children write over
@@ -115,9 +115,11 @@ class ForkServer:
         self._lose()
 
     def _begin(self) -> None:
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        ours.settimeout(ANSWER_S)
         adopt_orphans()
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.settimeout(ANSWER_S)
+        if self._selector is not None:
+            self._selector.register(self._socket, selectors.EVENT_READ, self)
         with theirs:
             argv = [sys.executable, "-m", MODULE, str(theirs.fileno()), *self._roles]
             self._process = subprocess.Popen(
@@ -129,9 +131,6 @@ class ForkServer:
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
             )
-        self._socket = ours
-        if self._selector is not None:
-            self._selector.register(ours, selectors.EVENT_READ, self)
 
     def _receive(self) -> dict[str, Any] | None:
         """Return what the server says next; None when it has gone, or says nothing for too long."""
@@ -175,6 +174,6 @@ class ForkServer:
 
 
 def adopt_orphans() -> None:
-    """Become the parent of processes whose own parent ends: so a forked process is our child, like one that we start."""
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    """Become the parent of processes whose own parent ends, or OSError: so a forked process is our child, like one that we start."""
+    if not sys.platform.startswith("linux") or ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
+        raise OSError("orphans cannot be adopted here")
