@@ -31,6 +31,9 @@ _ZENITH_WALK_M: Final = 5e-5  # per square root of second
 _SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
 
+_DOPPLER_STEP_S: Final = 2.5  # over longer steps the mean of two velocities says little
+_DOPPLER_SIGMA_MPS: Final = 0.3  # of that mean: Doppler noise of patch antennas, and jerk
+
 SOLVED, FEW_COMMON, NOT_FINITE = range(3)
 
 
@@ -56,8 +59,8 @@ class Known(NamedTuple):
     """What is carried from epoch to epoch beside the filter; ``memory``, ``scale`` and ``prediction`` are written to.
 
     ``times_s`` are now rover, now base, last rover, last base on the filter's clock; ``last_model_ecef_m`` is where the rover was taken to
-    be in the last epoch; ``prediction`` where the last fix and the phases since put the baseline (m, ECEF) and its sigma, NaN without; the
-    velocity is the Doppler velocity relative to the base, NaN without.
+    be in the last epoch; ``prediction`` where the last fix and the motion since put the baseline (m, ECEF), its sigma (m), and the last
+    epoch's velocity; the velocity is the Doppler velocity relative to the base. What is not known is NaN.
     """
 
     times_s: Vector
@@ -155,12 +158,21 @@ def solve(before: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
 
 @kernel
 def predict_fix(known: Known, arranged: Arranged, model_ecef_m: Vector, base_moves: bool) -> None:
-    """Carry the last fix on by the motion that the phases show."""
-    last = known.prediction
-    if not isfinite(last[3]) or arranged.redundancy < 1 or base_moves:
-        last[:] = np.nan
-        return
+    """Carry the last fix on by the motion that the phases show; where these are too few or contradict the Dopplers, by that of these."""
+    last, velocity, dt = known.prediction, known.velocity_mps, known.times_s[0] - known.times_s[2]
+    cov, by_phase, by_doppler, apart_m = arranged.motion_cov_m2, np.empty(3), np.empty(3), 0.0
     for i in range(3):
-        last[i] += model_ecef_m[i] - known.last_model_ecef_m[i] + arranged.motion_m[i]
-    cov = arranged.motion_cov_m2
-    last[3] += sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
+        by_doppler[i] = 0.5 * dt * (velocity[i] + last[4 + i])
+        by_phase[i] = model_ecef_m[i] - known.last_model_ecef_m[i] + arranged.motion_m[i]
+        apart_m += (by_phase[i] - by_doppler[i]) ** 2
+    last[4:] = velocity[:3]
+    heard = isfinite(by_doppler[0]) and dt <= _DOPPLER_STEP_S
+    contradicted = heard and sqrt(apart_m) > 4.0 * _DOPPLER_SIGMA_MPS * dt
+    if arranged.redundancy >= 1 and not base_moves and not contradicted:
+        last[:3] += by_phase
+        last[3] += sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
+    elif heard:
+        last[:3] += by_doppler
+        last[3] += _DOPPLER_SIGMA_MPS * dt
+    else:
+        last[:4] = np.nan

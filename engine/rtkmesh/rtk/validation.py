@@ -60,7 +60,7 @@ SELF_RELIANT: Final = 5  # so many held integers need no prediction
 LARGE_COUNT: Final = 24
 SEARCH_EVERY: Final = 5  # epochs between free searches of a large set that has been confirmed
 GLONASS_EPOCHS: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
-FIX_SIGMA_M: Final = 0.30  # a fix must be this good, or too few of its ambiguities are known
+FIX_SIGMA_M: Final = 0.15  # a fix must be this good: who reads FIX expects centimetres
 STRONG_COUNT: Final = 20  # with so many ambiguities that fit, ACCEPT_MANY is enough: their norm is a test in itself
 ACCEPT_MANY: Final = 5.5
 SURE: Final = 8.0  # log odds from which a new fix is shown at once, like one that fits well; others must be confirmed
@@ -389,7 +389,7 @@ def _note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
     memory[DOUBTS] = memory[DOUBTS] + 1.0 if doubt else max(memory[DOUBTS] - 1.0, 0.0)
     if memory[DOUBTS] >= RELEASE_EPOCHS:
         _release(f)
-        prediction[:] = np.nan
+        prediction[:4] = np.nan
         memory[DOUBTS], memory[STREAK_EPOCHS], memory[SHOWN] = 0.0, 0.0, 0.0
         memory[TRUSTS_GLONASS], memory[GLONASS_VOTES] = 0.0, 0.0
 
