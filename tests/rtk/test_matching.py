@@ -64,4 +64,4 @@ def test_groups_and_keys_follow_content():
     assert pairs.group.tolist() == [0, 0, 1, 0, 1, 2]
     assert len(set(pairs.key.tolist())) == len(pairs.key)
     empty = epoch()
-    assert len(matched(rover, empty)[1]) == 0
+    assert len(matched(rover, empty)[1].key) == 0
