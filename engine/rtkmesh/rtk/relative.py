@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Signals
+from rtkmesh.models.antenna import Patterns
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.matching import Rules, distinct, match
@@ -50,6 +51,7 @@ class Setup(NamedTuple):
     ambiguity_walk_cyc: float
     phases: bool
     resolving: bool
+    antennas: Patterns
 
 
 class Known(NamedTuple):
@@ -89,7 +91,7 @@ def conditions(setup: Setup, length_m: float, age_s: float, base_s: float) -> Co
     common = (CLOCK_DRIFT_MPS * age_s) ** 2 + (setup.ephemeris_m_per_m * length_m) ** 2
     if length_m < LONG_BASELINE_M:
         common += (IONOSPHERE_PPM * length_m) ** 2
-    return Conditions(np.array((setup.phase_a_m, setup.phase_b_m, setup.code_ratio, common)), setup.mask_rad, base_s)
+    return Conditions(np.array((setup.phase_a_m, setup.phase_b_m, setup.code_ratio, common)), setup.mask_rad, base_s, setup.antennas)
 
 
 @kernel
