@@ -1,13 +1,13 @@
 """Antennas: the correction against closed forms, and which calibration stands for which carrier."""
 
-from math import cos, pi, radians, sin
+from math import cos, radians, sin
 
 import numpy as np
 import pytest
 
 from rtkmesh.gnss.antenna import AntennaCalibration, BandCalibration
 from rtkmesh.gnss.signals import SYSTEMS
-from rtkmesh.models.antenna import NO_PATTERN, Antenna, antenna_correction_m, antenna_of, find_antenna, null_antenna
+from rtkmesh.models.antenna import Antenna, antenna_correction_m, antenna_of, carrier_place, find_antenna, null_antenna
 
 OFFSET_ENU_M = (0.003, -0.002, 0.09)
 FLAT = np.zeros((1, 19))
@@ -20,8 +20,12 @@ def calibration(variation_m: np.ndarray = FLAT, *codes: str, azimuth_step_deg: f
     return AntennaCalibration("TEST", radome, "", 5.0, azimuth_step_deg, bands)
 
 
-def correction_m(antenna: Antenna, azimuth_deg: float, elevation_deg: float, row: int = 0) -> float:
-    return antenna_correction_m(antenna.pattern, row, radians(azimuth_deg), radians(elevation_deg))
+def place_of(antenna: Antenna, code: str) -> int:
+    return carrier_place(antenna.pattern, SYSTEMS.index(code[0]), int(code[2]))
+
+
+def correction_m(antenna: Antenna, azimuth_deg: float, elevation_deg: float, code: str = "G01") -> float:
+    return antenna_correction_m(antenna.pattern, place_of(antenna, code), radians(azimuth_deg), radians(elevation_deg))
 
 
 def by_azimuth() -> np.ndarray:
@@ -39,7 +43,7 @@ def test_offset_alone() -> None:
     for azimuth_deg, toward in ((0.0, north), (90.0, east), (180.0, -north), (270.0, -east)):
         assert correction_m(antenna, azimuth_deg, 0.0) == pytest.approx(-toward, abs=1e-12)
     expected = -(up * sin(0.5) + cos(0.5) * (east * sin(4.0) + north * cos(4.0)))
-    assert antenna_correction_m(antenna.pattern, 0, 4.0, 0.5) == pytest.approx(expected, abs=1e-12)
+    assert antenna_correction_m(antenna.pattern, place_of(antenna, "G01"), 4.0, 0.5) == pytest.approx(expected, abs=1e-12)
 
 
 def test_variation_is_added_and_linear_between_its_points() -> None:
@@ -78,16 +82,16 @@ def test_azimuth_matters_only_where_the_calibration_says_so() -> None:
 
 def test_a_null_antenna_and_an_unknown_carrier_change_nothing() -> None:
     """Both have a correction of zero in every direction."""
-    null = null_antenna("ADVNULLANTENNA")
-    assert null.pattern.known
-    assert not NO_PATTERN.known
-    for elevation_rad in (-0.1, 0.0, 0.7, pi / 2):
-        assert antenna_correction_m(null.pattern, 0, 1.0, elevation_rad) == 0.0
-        assert antenna_correction_m(antenna_of(calibration()).pattern, -1, 1.0, elevation_rad) == 0.0
+    null, antenna = null_antenna("ADVNULLANTENNA"), antenna_of(calibration())
+    for elevation_deg in (-5.0, 0.0, 40.0, 90.0):
+        assert [correction_m(null, 50.0, elevation_deg, code) for code in ("G01", "R02", "E05")] == [0.0] * 3
+        assert correction_m(antenna, 50.0, elevation_deg, "I09") == 0.0
 
 
 def rows_of(antenna: Antenna, *codes: str) -> list[int]:
-    return [int(antenna.pattern.row[SYSTEMS.index(code[0]), int(code[2])]) for code in codes]
+    """Return which of the calibration's bands, told apart by their heights, stands for each carrier; -1 for none."""
+    heights_mm = [-1e3 * correction_m(antenna, 0.0, 90.0, code) for code in codes]
+    return [round(height_mm - 1e3 * OFFSET_ENU_M[2]) if height_mm else -1 for height_mm in heights_mm]
 
 
 def test_carriers_without_calibration_take_the_nearest() -> None:

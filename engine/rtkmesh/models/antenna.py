@@ -6,8 +6,8 @@ antenna reference point (ARP). ANTEX 1.4: observed = geometric - offset . direct
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from math import cos, floor, pi, radians, sin
-from typing import Final, NamedTuple
+from math import cos, floor, radians, sin
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,10 @@ from rtkmesh._jit import kernel
 from rtkmesh.gnss.antenna import NO_RADOME, AntennaCalibration, BandCalibration, Calibrations, antenna_name
 from rtkmesh.gnss.signals import SYSTEMS
 
-Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
 
 NULL_ANTENNA: Final = "NULLANTENNA"  # ADVNULLANTENNA, GPPNULLANTENNA: a network has already reduced the observations to the ARP
 _BANDS: Final = 10
-_NOT_CALIBRATED: Final = -1
 # Carriers (RINEX bands) by what stands in for them: upper L band for 1559 to 1610 MHz, lower for 1164 to 1300 MHz.
 _UPPER: Final = {"G": "1", "R": "14", "E": "1", "C": "12", "J": "1", "S": "1", "I": "1"}
 _LOWER: Final = {"G": "25", "R": "236", "E": "5678", "C": "5678", "J": "256", "S": "5", "I": "5"}
@@ -28,34 +27,13 @@ _LOWER: Final = {"G": "25", "R": "236", "E": "5678", "C": "5678", "J": "256", "S
 _SHARED: Final = {"1": "GEJCSI", "5": "GEJCSI", "6": "EJ", "7": "EC", "8": "EC"}
 
 
-class Pattern(NamedTuple):
-    """What kernels take of an antenna; of one that is not known, ``known`` is False and the rest empty.
+# A pattern is one vector, because kernels take every array of their arguments at a price: the shape of the grid and its steps (rad); the
+# place of each carrier (systems x RINEX bands), negative where it has no calibration; at its place a carrier has its offset (m; east,
+# north, up) and its variation (m; azimuths x zenith angles). Azimuths go from 0 to 2 pi, both included; one: azimuth does not matter.
+_AZIMUTHS, _ZENITHS, _AZIMUTH_STEP, _ZENITH_STEP, _PLACES = range(5)
+_OFFSET: Final = 3
 
-    ``row`` (systems, RINEX bands) is the row of a signal's band in ``offset_enu_m`` (n, 3) and ``variation_m`` (n, azimuths, zenith
-    angles), negative where there is no calibration. Azimuths go from 0 to 2 pi, both included; one column of them: azimuth does not matter.
-    """
-
-    known: bool
-    row: NDArray[np.int8]
-    offset_enu_m: Matrix
-    variation_m: NDArray[np.float64]
-    azimuth_step_rad: float
-    zenith_step_rad: float
-
-
-NO_PATTERN: Final = Pattern(
-    False, np.full((len(SYSTEMS), _BANDS), _NOT_CALIBRATED, np.int8), np.zeros((1, 3)), np.zeros((1, 1, 2)), 2.0 * pi, pi / 2
-)
-
-
-class Patterns(NamedTuple):
-    """The antennas of rover and base."""
-
-    rover: Pattern
-    base: Pattern
-
-
-NO_PATTERNS: Final = Patterns(NO_PATTERN, NO_PATTERN)
+NO_PATTERNS: Final = np.zeros(0)  # of two receivers whose antennas are not both known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +45,7 @@ class Antenna:
     """
 
     name: str
-    pattern: Pattern
+    pattern: Vector
     substitutes: dict[str, str] = field(default_factory=dict[str, str])
     radome: str = ""
 
@@ -84,19 +62,20 @@ def antenna_of(calibration: AntennaCalibration) -> Antenna:
     A carrier without calibration takes the one of its frequency in another system, else that of GPS: L1 for the upper L band, L2 for the
     lower one (IGS practice), L1 also there if that is all there is. Carriers outside both bands get no correction.
     """
-    rows = {band.frequency: row for row, band in enumerate(calibration.bands)}
-    table, substitutes = np.full((len(SYSTEMS), _BANDS), _NOT_CALIBRATED, np.int8), dict[str, str]()
+    azimuths, zeniths = calibration.bands[0].variation_m.shape
+    begin, size = _PLACES + len(SYSTEMS) * _BANDS, _OFFSET + azimuths * zeniths
+    places = {band.frequency: begin + k * size for k, band in enumerate(calibration.bands)}
+    table, substitutes = np.full((len(SYSTEMS), _BANDS), -1.0), dict[str, str]()
     for code, candidates in _carriers():
-        found = next((name for name in candidates if name in rows), None)
+        found = next((name for name in candidates if name in places), None)
         if found is None:
             continue
-        table[SYSTEMS.index(code[0]), int(code[2])] = rows[found]
+        table[SYSTEMS.index(code[0]), int(code[2])] = places[found]
         if found != code:
             substitutes[code] = found
-    offset_m = np.array([band.offset_enu_m for band in calibration.bands])
-    variation_m = np.ascontiguousarray([band.variation_m for band in calibration.bands])
-    azimuth_step_rad = radians(calibration.azimuth_step_deg) or 2.0 * pi
-    pattern = Pattern(True, table, offset_m, variation_m, azimuth_step_rad, radians(calibration.zenith_step_deg))
+    steps_rad = radians(calibration.azimuth_step_deg), radians(calibration.zenith_step_deg)
+    bands = [np.concatenate((band.offset_enu_m, band.variation_m.ravel())) for band in calibration.bands]
+    pattern = np.concatenate(((azimuths, zeniths, *steps_rad), table.ravel(), *bands))
     serial = f" {calibration.serial}" if calibration.serial else ""
     return Antenna(f"{calibration.antenna} {calibration.radome}{serial}", pattern, substitutes)
 
@@ -110,6 +89,18 @@ def _carriers() -> Iterator[tuple[str, list[str]]]:
                 own = [f"{system}0{band}", *(f"{other}0{band}" for other in shared if system in shared)]
                 glonass = [f"R0{1 if bands is _UPPER else 2}"] if system == "R" else []
                 yield own[0], own + glonass + last
+
+
+def join_patterns(rover: Antenna, base: Antenna) -> Vector:
+    """Return the patterns of both receivers in one vector for kernels: the length of the rover's, the rover's, the base's."""
+    return np.concatenate(((float(len(rover.pattern)),), rover.pattern, base.pattern))
+
+
+@kernel
+def pattern_of(patterns: Vector, receiver: int) -> Vector:
+    """Return the pattern of one receiver (0: rover, 1: base) of ``join_patterns``."""
+    end = 1 + int(patterns[0])
+    return patterns[1:end] if receiver == 0 else patterns[end:]
 
 
 def null_antenna(name: str) -> Antenna:
@@ -137,28 +128,35 @@ def find_antenna(tables: Iterable[Calibrations], name: str, serial: str = "") ->
 
 
 @kernel
-def antenna_correction_m(pattern: Pattern, row: int, azimuth_rad: float, elevation_rad: float) -> float:
+def carrier_place(pattern: Vector, system: int, band: int) -> int:
+    """Return where a pattern has the carrier of a system (GPS, ...) and RINEX band; negative if it has no calibration for it."""
+    return int(pattern[_PLACES + system * _BANDS + band])
+
+
+@kernel
+def antenna_correction_m(pattern: Vector, place: int, azimuth_rad: float, elevation_rad: float) -> float:
     """Return the delay (m) that an antenna adds to a range: subtract it from what was observed, code or phase.
 
-    ``row`` is of ``pattern.row``; azimuth clockwise from north, the direction of the satellite in the receiver's east, north, up, which
-    is the antenna's frame: level, north mark to the north. Bilinear in azimuth and zenith angle; beyond the last zenith angle of the
-    calibration its last value. 0 for a negative row. ANTEX 1.4, "Phase center corrections".
+    ``place`` is of ``carrier_place``; azimuth clockwise from north, the direction of the satellite in the receiver's east, north, up,
+    which is the antenna's frame: level, north mark to the north. Bilinear in azimuth and zenith angle; beyond the last zenith angle of
+    the calibration its last value. 0 for a negative place. ANTEX 1.4, "Phase center corrections".
     """
-    if row < 0:
+    if place < 0:
         return 0.0
-    flat = cos(elevation_rad)
-    offset = pattern.offset_enu_m[row]
-    along = offset[0] * flat * sin(azimuth_rad) + offset[1] * flat * cos(azimuth_rad) + offset[2] * sin(elevation_rad)
-    azimuths, zeniths = pattern.variation_m.shape[1], pattern.variation_m.shape[2]
-    z = min(max((0.5 * np.pi - elevation_rad) / pattern.zenith_step_rad, 0.0), zeniths - 1.0)
+    flat, high = cos(elevation_rad), sin(elevation_rad)
+    east, north = flat * sin(azimuth_rad), flat * cos(azimuth_rad)
+    along = pattern[place] * east + pattern[place + 1] * north + pattern[place + 2] * high
+    azimuths, zeniths = int(pattern[_AZIMUTHS]), int(pattern[_ZENITHS])
+    z = min(max((0.5 * np.pi - elevation_rad) / pattern[_ZENITH_STEP], 0.0), zeniths - 1.0)
     j = min(int(z), zeniths - 2)
+    near = place + _OFFSET + j
     if azimuths == 1:
-        values = pattern.variation_m[row, 0]
-        return values[j] + (values[j + 1] - values[j]) * (z - j) - along
-    a = azimuth_rad / pattern.azimuth_step_rad
+        return pattern[near] + (pattern[near + 1] - pattern[near]) * (z - j) - along
+    a = azimuth_rad / pattern[_AZIMUTH_STEP]
     a = a - (azimuths - 1) * floor(a / (azimuths - 1))
     i = min(int(a), azimuths - 2)
-    near, far = pattern.variation_m[row, i], pattern.variation_m[row, i + 1]
-    first = near[j] + (near[j + 1] - near[j]) * (z - j)
-    second = far[j] + (far[j + 1] - far[j]) * (z - j)
+    near += i * zeniths
+    far = near + zeniths
+    first = pattern[near] + (pattern[near + 1] - pattern[near]) * (z - j)
+    second = pattern[far] + (pattern[far + 1] - pattern[far]) * (z - j)
     return first + (second - first) * (a - i) - along

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch, Signals
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
-from rtkmesh.models.antenna import NO_PATTERNS, Antenna, Patterns
+from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
@@ -86,8 +86,8 @@ class Rtk:
 
         A change begins the filter anew: its ambiguities stand for the phase centres that were.
         """
-        patterns = NO_PATTERNS if rover is None or base is None else Patterns(rover.pattern, base.pattern)
-        if patterns.rover is self._setup.antennas.rover and patterns.base is self._setup.antennas.base:
+        patterns = NO_PATTERNS if rover is None or base is None else join_patterns(rover, base)
+        if np.array_equal(patterns, self._setup.antennas):
             return
         self._setup = self._setup._replace(antennas=patterns)
         self.reset()

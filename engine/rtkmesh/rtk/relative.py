@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Signals
-from rtkmesh.models.antenna import Patterns
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.matching import Rules, distinct, match
@@ -36,7 +35,10 @@ SOLVED, FEW_COMMON, NOT_FINITE = range(3)
 
 
 class Setup(NamedTuple):
-    """What one engine's options say to kernels: angles in rad, noise parameters as ``residuals`` has them."""
+    """What one engine's options say to kernels: angles in rad, noise parameters as ``residuals`` has them.
+
+    ``antennas`` are of ``models.antenna.join_patterns``, empty where they are not both known.
+    """
 
     rules: Rules
     slip: SlipSetup
@@ -51,7 +53,7 @@ class Setup(NamedTuple):
     ambiguity_walk_cyc: float
     phases: bool
     resolving: bool
-    antennas: Patterns
+    antennas: Vector
 
 
 class Known(NamedTuple):

@@ -13,7 +13,7 @@ from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Signals
 from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, band_of, carrier_hz, system_of
-from rtkmesh.models.antenna import Pattern, Patterns, antenna_correction_m
+from rtkmesh.models.antenna import antenna_correction_m, carrier_place, pattern_of
 from rtkmesh.models.ephemeris_table import IODE, KIND, NO_EPHEMERIS, ROW, TOE_TOW, TOE_WEEK
 from rtkmesh.models.geometry import AZIMUTH, E_X, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_geometry
 from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK, satellite_states
@@ -63,17 +63,17 @@ def wavelengths(
 @kernel
 def observe_receiver(
     signals: Signals, row: Indices, satellite_index: Indices, wavelength_m: Vector, position_ecef_m: Vector, klobuchar: Vector,
-    antenna: Pattern, states: Matrix, geometry: Matrix, out: Matrix,
+    states: Matrix, geometry: Matrix, out: Matrix,
 ) -> None:  # fmt: skip
     """Write the geometry per satellite of one receiver, and code and phase minus model (m, n x 2) per pair."""
     receiver_geometry(states, signals.week, signals.tow_s, position_ecef_m, klobuchar, geometry)
-    undifferenced(signals, row, satellite_index, wavelength_m, antenna, states, geometry, out)
+    undifferenced(row, satellite_index, wavelength_m, signals.pseudorange_m, signals.phase_cyc, signals.flags, states, geometry, out)
 
 
 @kernel
 def undifferenced(
-    signals: Signals, rows: Indices, satellite_index: Indices, wavelength_m: Vector, antenna: Pattern, states: Matrix, geometry: Matrix,
-    out: Matrix,
+    rows: Indices, satellite_index: Indices, wavelength_m: Vector, pseudorange_m: Vector, phase_cyc: Vector, flags: NDArray[np.uint8],
+    states: Matrix, geometry: Matrix, out: Matrix,
 ) -> None:  # fmt: skip
     """Write code and phase (m) minus model of one receiver per pair (n x 2); NaN where not observed or not to be modelled."""
     for k in range(len(rows)):
@@ -82,16 +82,26 @@ def undifferenced(
         if states[s, STATE_OK] == 0.0:
             continue
         model = geometry[s, RANGE] - _C * states[s, STATE_CLOCK] + geometry[s, TROPOSPHERE_M]
-        if antenna.known:
-            band = antenna.row[system_of(int(signals.satellite[row])), band_of(int(signals.signal[row]))]
-            model += antenna_correction_m(antenna, int(band), geometry[s, AZIMUTH], geometry[s, ELEVATION])
         scale = wavelength_m[k] * _L1_HZ / _C
         delay = geometry[s, IONOSPHERE_L1_M] * scale * scale
         if not isfinite(delay):
             continue
-        out[k, 0] = signals.pseudorange_m[row] - model - delay
-        if signals.flags[row] & HALF_CYCLE == 0:
-            out[k, 1] = signals.phase_cyc[row] * wavelength_m[k] - model + delay
+        out[k, 0] = pseudorange_m[row] - model - delay
+        if flags[row] & HALF_CYCLE == 0:
+            out[k, 1] = phase_cyc[row] * wavelength_m[k] - model + delay
+
+
+@kernel
+def correct_antenna(signals: Signals, rows: Indices, satellite_index: Indices, pattern: Vector, geometry: Matrix, out: Matrix) -> None:
+    """Take what the antenna of one receiver adds from its code and phase minus model (m, n x 2)."""
+    for k in range(len(rows)):
+        s, row = satellite_index[k], rows[k]
+        if not isfinite(geometry[s, ELEVATION]):
+            continue
+        place = carrier_place(pattern, system_of(int(signals.satellite[row])), band_of(int(signals.signal[row])))
+        delay_m = antenna_correction_m(pattern, place, geometry[s, AZIMUTH], geometry[s, ELEVATION])
+        out[k, 0] -= delay_m
+        out[k, 1] -= delay_m
 
 
 @kernel
@@ -179,13 +189,13 @@ class Differences(NamedTuple):
 class Conditions(NamedTuple):
     """What of an epoch decides variances and use: noise parameters, elevation mask, time of the base epoch (on the filter's clock).
 
-    ``antennas`` correct what was observed.
+    ``antennas`` are of ``join_patterns``, empty where they are not both known.
     """
 
     noise: Vector
     mask_rad: float
     base_s: float
-    antennas: Patterns
+    antennas: Vector
 
 
 @kernel
@@ -208,9 +218,11 @@ def observe(
     wavelengths(pairs.satellite, rover.signal, rover.channel, pairs.rover, channel, wavelength_m, channels)
     geometry, out, words = np.empty((2, count, GEOMETRY)), np.empty((2, n, 2)), np.empty((2, n, WORDS))
     lock_s, flagged, half_cycle = np.empty((n, 2)), np.empty((n, 2), np.bool_), np.empty(n, np.bool_)
-    antennas = conditions.antennas
-    observe_receiver(rover, pairs.rover, index, wavelength_m, rover_ecef_m, klobuchar, antennas.rover, states[0], geometry[0], out[0])
-    observe_receiver(base, pairs.base, index, wavelength_m, base_ecef_m, klobuchar, antennas.base, states[1], geometry[1], out[1])
+    observe_receiver(rover, pairs.rover, index, wavelength_m, rover_ecef_m, klobuchar, states[0], geometry[0], out[0])
+    observe_receiver(base, pairs.base, index, wavelength_m, base_ecef_m, klobuchar, states[1], geometry[1], out[1])
+    if len(conditions.antennas) > 0:
+        correct_antenna(rover, pairs.rover, index, pattern_of(conditions.antennas, 0), geometry[0], out[0])
+        correct_antenna(base, pairs.base, index, pattern_of(conditions.antennas, 1), geometry[1], out[1])
     receiver_words(rover, pairs.rover, 0, words[0], lock_s, flagged, half_cycle)
     receiver_words(base, pairs.base, 1, words[1], lock_s, flagged, half_cycle)
     table = np.empty((n, DIFFERENCE))
