@@ -145,7 +145,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--only", help="names of cases, with commas between")
     parser.add_argument("--quick", action="store_true", help="the short recordings only")
     parser.add_argument("--json", action="store_true", help="all figures, for programs")
-    parser.add_argument("--markdown", action="store_true", help="write the tables into benchmarks/results.md and README.md")
+    parser.add_argument("--markdown", action="store_true", help="write the tables into benchmarks/RESULTS.md and README.md")
     parser.add_argument("--gate", action="store_true", help="end with 1 where we are behind rnx2rtkp")
     parser.add_argument("--keep", type=Path, help="folder for the .pos files")
     parser.add_argument("--program", default="", help="another rtkmesh to measure (default: of this interpreter)")

@@ -14,6 +14,7 @@ import os
 import shutil
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -26,7 +27,7 @@ from rtkmesh_services.runtime.zenoh_bus import open_bus
 BASE_ECEF_M = (-4467102.3061, 2683039.5304, -3666949.9820)
 TRUTH_ECEF_M = (-4467074.3577, 2683011.9038, -3667008.2845)
 
-# name -> (epochs per second, rt_load pattern, further options of rt_load.run)
+# name -> (epochs per second, rt_load pattern, further options of rt_load.run; "solvers": how many, each with its own process)
 CASES = {
     "in step 10 Hz": (10, "step", {}),
     "base 50 ms early": (5, "early:50", {}),
@@ -42,6 +43,7 @@ CASES = {
     "bit errors 1e-5": (5, "step", {"flip": 1e-5}),
     "bit errors 1e-4": (5, "step", {"flip": 1e-4}),
     "cold start": (10, "step", {"cold": True}),
+    "20 solvers 10 Hz": (10, "step", {"solvers": 20}),
 }
 
 DEPLOYMENT = """
@@ -55,7 +57,10 @@ source = "tcp://127.0.0.1:{rover}"
 [ingest.base]
 source = "tcp://127.0.0.1:{base}"
 position_ecef_m = [{x}, {y}, {z}]
-[solver.rtk]
+"""
+
+SOLVER = """
+[solver.rtk{number}]
 rover = "rover"
 base = "base"
 mode = "kinematic"
@@ -93,7 +98,7 @@ class BusSolutions:
 
         def take(sample) -> None:
             solution = decode(SolutionMessage, sample.payload, sample.encoding)
-            push(0, solution.tow_s, solution.status, solution.age_s, solution.position_ecef_m)
+            push(int(solution.source.removeprefix("rtk")), solution.tow_s, solution.status, solution.age_s, solution.position_ecef_m)
 
         self._bus.subscribe(SOL.expression(), take)
 
@@ -101,27 +106,48 @@ class BusSolutions:
         self._bus.close()
 
 
-def ours(folder: Path):
+class Deployment(rt_load.Spawn):
+    """One command that runs several solvers."""
+
+    def __init__(self, command: str, solvers: int, rover: str, base: str) -> None:
+        super().__init__(command, 1, rover, base)
+        self._solvers = solvers
+
+    def start(self) -> None:
+        super().start()
+        self.count = self._solvers
+
+
+def ours(folder: Path, solvers: int):
     hub, rover, base = rt_load.free_ports(3)
     file = folder / f"deployment-{hub}.toml"
-    x, y, z = BASE_ECEF_M
-    file.write_text(DEPLOYMENT.format(hub=hub, rover=rover, base=base, x=x, y=y, z=z))
-    target = rt_load.Spawn(f"{sys.executable} -m rtkmesh_services.cli.main up {file} --quiet", 1, str(rover), str(base))
+    file.write_text(deployment(hub, rover, base, solvers))
+    target = Deployment(f"{sys.executable} -m rtkmesh_services.cli.main up {file} --quiet", solvers, str(rover), str(base))
     target.solutions = lambda: [f"plugin:realtime:BusSolutions:tcp/127.0.0.1:{hub}"]
     return target, f"listen:{rover}", f"listen:{base}"
 
 
-def rtkrcv(folder: Path, binary: str):
+def deployment(hub: int, rover: int, base: int, solvers: int = 1) -> str:
+    """Return the deployment file of two receivers and their solvers, rtk0, rtk1, ..."""
+    x, y, z = BASE_ECEF_M
+    receivers = DEPLOYMENT.format(hub=hub, rover=rover, base=base, x=x, y=y, z=z)
+    return receivers + "".join(SOLVER.format(number=number) for number in range(solvers))
+
+
+def rtkrcv(folder: Path, binary: str, count: int):
     rover, base = rt_load.free_ports(2)
     conf = folder / "rtkrcv.conf"
     x, y, z = BASE_ECEF_M
     conf.write_text(RTKRCV.format(x=x, y=y, z=z))
-    return rt_load.Rtkrcv(binary, 1, str(conf), ("rtcm3", "rtcm3"), str(rover), str(base), []), f"listen:{rover}", f"listen:{base}"
+    return rt_load.Rtkrcv(binary, count, str(conf), ("rtcm3", "rtcm3"), str(rover), str(base), []), f"listen:{rover}", f"listen:{base}"
 
 
 def measure(logs, target_at, name: str, seconds: float) -> dict:
-    rate, pattern, more = CASES[name]
+    rate, pattern, options = CASES[name]
+    more = {key: value for key, value in options.items() if key != "solvers"}
     target, rover_at, base_at = target_at
+    if isinstance(target, Deployment):
+        more["clients"] = 1  # one ingest feeds all solvers
     try:
         return rt_load.run(*logs, target, rover_at, base_at, interval=1.0 / rate, seconds=seconds, pattern=pattern, tree=True,
                            truth=TRUTH_ECEF_M, **more)  # fmt: skip
@@ -141,9 +167,10 @@ def main() -> None:
     results = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in [c for c in CASES if not o.only or c in o.only.split(",")]:
-            targets = {"rtkmesh": lambda: ours(Path(folder))}
+            solvers = CASES[name][2].get("solvers", 1)
+            targets = {"rtkmesh": partial(ours, Path(folder), solvers)}
             if shutil.which(o.rtkrcv):
-                targets["rtkrcv b34"] = lambda: rtkrcv(Path(folder), o.rtkrcv)
+                targets["rtkrcv b34"] = partial(rtkrcv, Path(folder), o.rtkrcv, solvers)
             for who, make in targets.items():
                 results.setdefault(name, {})[who] = r = measure(logs, make(), name, o.seconds)
                 if not o.json:
@@ -153,17 +180,19 @@ def main() -> None:
 
 
 def summary(r: dict) -> str:
-    """One line: epochs solved, with their own base epoch, fixed; latency from the later of both streams; cost."""
+    """One line: epochs solved, in time, with their own base epoch, fixed; latency from the later of both streams; cost; load."""
     t = r["targets"][0]
     latency = t.get("latency_from_both_ms") or {}
     parts = [
         f"solved {t['solved_pct']:6.2f} %",
+        *([f"in time {t['in_time_pct']:6.2f} %"] if t["instances"] > 1 else []),
         f"age 0 {t['age0_pct']:6.2f} %",
         f"fix {t['q_pct'].get('1', 0.0):5.1f} %",
         "ms p50 {p50:7.2f} p99 {p99:7.2f} max {max:7.2f}".format(**latency) if latency else "no latency",
         f"cpu {t.get('cpu_pct_of_core', float('nan')):5.1f} %",
         f"pss {t.get('pss_mib_mean', float('nan')):6.1f} MiB",
         f"first {t.get('spawn_to_first_solution_s', float('nan')):.2f} s",
+        f"load {os.getloadavg()[0]:.1f}",
     ]
     if "after_outage" in t:
         parts.append(f"back: {t['after_outage']}")

@@ -1,4 +1,4 @@
-"""Measured figures into pages: the tables of results.md and the block of README.md, each between its pair of markers."""
+"""Measured figures into pages: the tables of RESULTS.md and the block of README.md, each between its pair of markers."""
 
 import platform
 import re
@@ -14,7 +14,7 @@ from rtkmesh import __version__
 Row = dict[str, Any]
 Report = dict[str, dict[str, Row]]
 
-RESULTS: Final = REPOSITORY / "benchmarks" / "results.md"
+RESULTS: Final = REPOSITORY / "benchmarks" / "RESULTS.md"
 README: Final = REPOSITORY / "README.md"
 
 _COLUMNS: Final = (
@@ -43,12 +43,15 @@ def made() -> str:
 
 
 def _commit() -> str:
-    """Return the commit in brackets, with a plus when files differ from it; nothing outside a checkout."""
+    """Return the commit in brackets, with a plus when files other than the pages of results differ from it; nothing outside a checkout."""
+    git = ["git", "-C", str(REPOSITORY)]
+    pages = [f":!{page.relative_to(REPOSITORY).as_posix()}" for page in (RESULTS, README)]
     try:
-        argv = ["git", "-C", str(REPOSITORY), "describe", "--always", "--dirty=+", "--exclude=*"]
-        return f" ({subprocess.run(argv, capture_output=True, text=True, check=True).stdout.strip()})"
+        name = subprocess.run([*git, "describe", "--always", "--exclude=*"], capture_output=True, text=True, check=True).stdout.strip()
+        differs = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", ".", *pages], check=False).returncode
     except (OSError, subprocess.CalledProcessError):
         return ""
+    return f" ({name}{'+' if differs else ''})"
 
 
 def _processor() -> str:

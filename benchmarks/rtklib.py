@@ -22,6 +22,32 @@ TIMEOUT_S: Final = 1200.0
 # 2.4.3 b34 knows these names only and falls back to l1+2 for demo5's, which are in the stored options.
 _FREQUENCIES: Final = {1: "l1", 2: "l1+2", 3: "l1+2+3"}
 _FORMATS: Final = {".ubx": "ubx", ".rtcm3": "rtcm3"}
+_SYSTEM_BITS: Final = {"G": 1, "R": 4, "E": 8, "J": 16, "C": 32}
+# As in the options that lie beside the recordings.
+_PLAIN: Final = """
+pos1-soltype=forward
+pos1-elmask=15
+pos1-dynamics=off
+pos1-ionoopt=brdc
+pos1-tropopt=saas
+pos1-sateph=brdc
+pos2-bdsarmode=on
+pos2-arthres=3
+pos2-arelmask=15
+pos2-arminfix=10
+pos2-aroutcnt=20
+pos2-maxage=30
+pos2-slipthres=0.05
+pos2-rejionno=30
+pos2-rejgdop=30
+out-outhead=on
+out-timesys=gpst
+stats-eratio1=300
+stats-eratio2=300
+stats-errphase=0.003
+stats-errphaseel=0.003
+stats-stdbias=30
+"""
 
 
 class ProgramError(Exception):
@@ -82,6 +108,16 @@ def options(case: Case) -> str:
     if count != 1:
         raise ProgramError(f"{stored.name}: its options do not name the frequencies")
     return text
+
+
+def plain_options(mode: str, systems: str, frequencies: int, ambiguities: str) -> str:
+    """Return rnx2rtkp's plain options for a mode (kinematic, movingbase), RINEX letters, bands and a way with ambiguities.
+
+    GLONASS stays float, as in the options beside the recordings of receivers of two makes.
+    """
+    bits = sum(_SYSTEM_BITS[system] for system in systems)
+    chosen = {"pos1-posmode": mode, "pos1-navsys": bits, "pos1-frequency": _FREQUENCIES[frequencies], "pos2-armode": ambiguities}
+    return _PLAIN + "pos2-gloarmode=off\n" + "".join(f"{name}={value}\n" for name, value in chosen.items())
 
 
 def _rinex(recording: Path, date: str, folder: Path) -> tuple[Path, list[Path]]:

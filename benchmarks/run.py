@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """All benchmarks, one after the other: `make bench`, or `make bench ARGS="--quick"`.
 
-  run.py [--quick] [--only accuracy,decode,engine,realtime] [--markdown]
+  run.py [--quick] [--only accuracy,campaign,...] [--markdown]
 
-Each needs the recordings (RTKMESH_DATA or ../shared/data); what is missing is said and left out. --markdown writes the figures into
-benchmarks/results.md and the table of README.md. Ends with 1 when a benchmark failed.
+Most need the recordings (RTKMESH_DATA or ../shared/data), some simulate all they need; what is missing is said and left out. --markdown
+writes the figures into benchmarks/RESULTS.md and the table of README.md. Ends with 1 when a benchmark failed.
 """
 
 import argparse
@@ -23,19 +23,23 @@ HERE = Path(__file__).resolve().parent
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """A program of this folder. ``quick``: its arguments in a quick run; ``modules``: what it imports beyond rtkmesh's own needs."""
+    """A program of this folder.
+
+    ``quick``: its arguments in a quick run; ``modules``: what it imports beyond rtkmesh's own needs; ``recordings``: it needs them.
+    """
 
     name: str
     file: str
     title: str
     quick: tuple[str, ...] = ()
     modules: tuple[str, ...] = ()
+    recordings: bool = True
 
     def obstacle(self) -> str:
         """Return why it cannot run, or nothing."""
         if not (HERE / self.file).is_file():
             return f"{self.file} is not there"
-        if data_folder() is None:
+        if self.recordings and data_folder() is None:
             return "no recordings: set RTKMESH_DATA"
         missing = [name for name in self.modules if importlib.util.find_spec(name) is None]
         return f"not installed: {', '.join(missing)}" if missing else ""
@@ -43,6 +47,11 @@ class Benchmark:
 
 BENCHMARKS = (
     Benchmark("accuracy", "accuracy.py", "Solutions beside RTKLIB's, per recording", ("--quick",)),
+    Benchmark("campaign", "campaign.py", "Simulated runs against the truth", ("--quick",), recordings=False),
+    Benchmark("dive", "dive.py", "After dives, RTKLIB on the same bytes", ("--quick",), recordings=False),
+    Benchmark("heading", "heading.py", "How a heading repeats, beside RTKLIB's", ("--quick",)),
+    Benchmark("sigmas", "sigmas.py", "Covariances against errors", ("--quick",)),
+    Benchmark("endurance", "endurance.py", "A million updates of one filter", ("--quick",), recordings=False),
     Benchmark("decode", "decode_speed.py", "Decoders beside pyubx2 and pyrtcm", modules=("pyubx2", "pyrtcm")),
     Benchmark("engine", "engine_speed.py", "The engine's steps"),
     Benchmark("realtime", "realtime.py", "A running deployment beside rtkrcv", ("--only", "base 60 ms late,cold start", "--seconds", "8")),
@@ -68,8 +77,9 @@ def main() -> int:
 
 
 def _run(benchmark: Benchmark, *, quick: bool, markdown: bool) -> bool:
-    """Run a benchmark, passing on what it prints; keep it for results.md if asked."""
-    argv = [sys.executable, str(HERE / benchmark.file), "--data", str(data_folder()), *(benchmark.quick if quick else ())]
+    """Run a benchmark, passing on what it prints; keep it for RESULTS.md if asked."""
+    data = data_folder()
+    argv = [sys.executable, str(HERE / benchmark.file), *(("--data", str(data)) if data else ()), *(benchmark.quick if quick else ())]
     own_pages = benchmark.name == "accuracy"  # writes its tables itself
     if markdown and own_pages:
         argv.append("--markdown")
@@ -91,9 +101,9 @@ def _page(text: str) -> str:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="minutes instead of a quarter of an hour")
+    parser.add_argument("--quick", action="store_true", help="minutes instead of an hour")
     parser.add_argument("--only", help=", ".join(benchmark.name for benchmark in BENCHMARKS))
-    parser.add_argument("--markdown", action="store_true", help="write the figures into benchmarks/results.md and README.md")
+    parser.add_argument("--markdown", action="store_true", help="write the figures into benchmarks/RESULTS.md and README.md")
     options = parser.parse_args()
     if options.quick and options.markdown:
         parser.error("--markdown is for the full run")

@@ -1,5 +1,7 @@
 """What a receiver's ingest publishes: epochs, ephemerides, reference station, end of stream; and what paces it."""
 
+from typing import Final
+
 from rtkmesh_schemas.wire import Wire
 
 Time = tuple[int, float]  # GPS week, seconds of week
@@ -139,6 +141,9 @@ class EndOfStream(Wire, frozen=True, kw_only=True):
     start_id: str
     sequence: int
     after: Time | None = None
+
+
+CREDIT_WINDOW: Final = 32  # messages that a replay is ahead of its slowest consumer at most
 
 
 class Credit(Wire, frozen=True, kw_only=True):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from tests.e2e.conftest import Deployment
@@ -98,3 +99,23 @@ def test_frozen_solver_is_replaced_and_the_frozen_one_is_gone(fleet: Deployment)
     assert any("hung: no heartbeat" in event.get("reason", "") for event in fleet.events)
     after = fleet.until(fleet.all_running, 30.0)
     assert {name for name in after if after[name]["pid"] != before[name]["pid"]} == {"rtk"}
+
+
+def test_without_the_fork_server_all_run_on_and_nobody_survives_control(fleet: Deployment) -> None:
+    """The fork server is nobody's parent: its end ends nobody, and the end of control ends all that it forked."""
+    before = fleet.rows()
+    [server] = [pid for pid in fleet.left() if Path(f"/proc/{pid}/cmdline").read_bytes().startswith(b"rtkmesh fork server")]
+    os.kill(server, signal.SIGKILL)
+    os.kill(before["rtk"]["pid"], signal.SIGKILL)
+    fixes = Fixes(fleet)
+    killed_s = time.monotonic()
+    fleet.until(lambda: fleet.rows()["rtk"]["pid"] not in (0, before["rtk"]["pid"]) and fixes.since(killed_s + 0.5), 30.0)
+    after = fleet.rows()
+    assert {id_: row["pid"] for id_, row in after.items() if id_ != "rtk"} == {
+        id_: row["pid"] for id_, row in before.items() if id_ != "rtk"
+    }
+    fleet.process.kill()
+    fleet.process.wait(10.0)
+    deadline_s = time.monotonic() + 5.0
+    while fleet.left():
+        assert time.monotonic() < deadline_s

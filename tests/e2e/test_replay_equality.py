@@ -1,5 +1,6 @@
 """A replay through the processes gives the same solutions as `rtkmesh solve` on the same files, to the last bit."""
 
+import os
 import signal
 import socket
 import subprocess
@@ -12,8 +13,9 @@ import pytest
 
 from rtkmesh.rtk.solution import Solution
 from rtkmesh_schemas.config import Deployment
-from rtkmesh_schemas.keys import SOL
+from rtkmesh_schemas.keys import SOL, STATUS
 from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_schemas.status import ServiceStatus
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.cli.offline import Run, open_inputs
 from rtkmesh_services.ingest.replay import date_of
@@ -21,6 +23,7 @@ from rtkmesh_services.ingest.urls import parse_source
 from rtkmesh_services.mapping.options import session_options
 from rtkmesh_services.mapping.position import known_position
 from rtkmesh_services.mapping.solution import solution_message
+from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_deployment
 from rtkmesh_services.runtime.zenoh_bus import open_bus
 
@@ -87,3 +90,32 @@ def test_every_solution_equals_the_offline_one_bit_for_bit(name: str, speed: str
     for got, want in zip(messages, expected, strict=True):
         differing = [f for f in got.__struct_fields__ if f not in RUN_DEPENDENT and repr(getattr(got, f)) != repr(getattr(want, f))]
         assert not differing, f"{got.week} {got.tow_s}: {[(f, getattr(got, f), getattr(want, f)) for f in differing[:3]]}"
+
+
+@pytest.mark.e2e
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("killed", ["rover", "base", "rtk"])
+def test_a_replay_in_which_a_process_is_killed_goes_on_to_its_end(killed: str, data: Path, tmp_path: Path) -> None:
+    """Control brings the process back; no epoch comes twice, and only a killed solver loses some."""
+    port = free_port()
+    file = tmp_path / "replay.toml"
+    file.write_text((REPOSITORY / "config" / "replay_ubx.toml").read_text().replace("tcp/127.0.0.1:7547", f"tcp/127.0.0.1:{port}"))
+    times: list[float] = []
+    pids: dict[str, int] = {}
+    with running(file, data, "--speed", "150", "--exit-at-end") as process, open_bus("test", (f"tcp/127.0.0.1:{port}",)) as bus:
+
+        def take(sample: Sample) -> None:
+            times.append(decode(SolutionMessage, sample.payload, sample.encoding).tow_s)
+            if len(times) == 300:
+                os.kill(pids[killed], signal.SIGKILL)
+
+        def note(sample: Sample) -> None:
+            status = decode(ServiceStatus, sample.payload, sample.encoding)
+            pids[status.id] = status.pid
+
+        bus.subscribe(STATUS.expression(), note, history=True)
+        bus.subscribe(SOL.key("rtk"), take)
+        assert process.wait(60.0) == 0
+    assert len(set(times)) == len(times)
+    assert len(times) == 1205 if killed != "rtk" else 600 < len(times) < 1205

@@ -15,12 +15,16 @@ from rtkmesh_schemas.observation import Observation
 from rtkmesh_schemas.wire import encode, encoding_of
 from rtkmesh_services.cli.check import check
 from rtkmesh_services.cli.cmd import arguments
+from rtkmesh_services.cli.demo import config_path
 from rtkmesh_services.cli.echo import full_expression, line_of, page_of
 from rtkmesh_services.cli.main import COMMANDS
 from rtkmesh_services.cli.network import EXIT_FAILED, EXIT_REFUSED, EXIT_TIMEOUT, EXIT_UNREACHABLE, EXIT_USAGE, exit_code
 from rtkmesh_services.cli.show import keys, schema
 from rtkmesh_services.cli.status import show_status, status_exit_code, unanswering
+from rtkmesh_services.cli.up import Foreground
+from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.configuration import load_site
 
 
 def rtkmesh(*words: str) -> "subprocess.CompletedProcess[str]":
@@ -243,3 +247,11 @@ def test_reads_are_quick_and_light():
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 1.0
     assert {"run", "cmd", "status", "echo", "check", "warm", "keys", "schema"} <= set(COMMANDS)
+
+
+def test_the_farewell_of_up_has_a_part_for_each_thing_it_knows(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without solutions it ends after the restarts."""
+    file = config_path("demo.toml")
+    foreground = Foreground(load_site(file, None, ""), LaunchOptions(file), reason="it is enough", seconds=1.25)
+    foreground.report()
+    assert capsys.readouterr().err == "ended after 1.2 s (it is enough); 0 restarts\n"

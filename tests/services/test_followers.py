@@ -51,7 +51,7 @@ def test_a_replay_waits_for_outputs_and_attitudes() -> None:
     replay.step(1.0)
     assert not replay.is_ready
     taker.subscribe(SOL_TEXT.key("rtk", format="llh"), lambda _: None)
-    replay.step(0.05)
+    replay.step(0.1)
     assert replay.is_ready
 
 

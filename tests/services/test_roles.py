@@ -14,12 +14,13 @@ from rtkmesh.simulation.scenario import SimulatedEpoch, open_stream, truth
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_schemas.config import AttitudeTable, Deployment, IngestTable, OutputTable, RecorderTable, SolverTable
-from rtkmesh_schemas.keys import ATT, CMD, EPH, OBS, SOL, STATUS, Role
+from rtkmesh_schemas.keys import ATT, CMD, EPH, EVENT, OBS, SOL, STATUS, Role
 from rtkmesh_schemas.solution import SolutionMessage
-from rtkmesh_schemas.status import ServiceStatus, State
+from rtkmesh_schemas.status import Event, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.service import AttitudeService
-from rtkmesh_services.ingest.links import Chunk
+from rtkmesh_services.errors import NamesakeError
+from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
 from rtkmesh_services.ingest.service import IngestService
 from rtkmesh_services.output.service import OutputService
 from rtkmesh_services.recorder.service import RecorderService
@@ -214,19 +215,28 @@ def test_a_restarted_ingest_is_taken_up_again(world: World) -> None:
     world.play(10)
     world.lives["rover"].finish()
     world.begin("rover")
-    world.play(15)
+    world.play(1)
+    assert world.solutions()[-1].tow_s == pytest.approx(START.tow_s + 10 / RATE_HZ), "its first epoch is solved"
+    world.play(14)
     assert world.solutions()[-1].status_name == "FIX"
     assert world.solutions()[-1].tow_s == pytest.approx(START.tow_s + 24 / RATE_HZ)
+    assert "of_another_process" not in world.status("rtk").inputs[0].counters
 
 
 def test_a_second_process_of_the_same_id_is_named_and_not_listened_to(world: World) -> None:
-    """Another vehicle's rover on the same network, by mistake under the same id."""
-    stranger = Context(id="rover", role=Role.INGEST, deployment=world.deployment, bus=MemoryBus("rover", world.network), clock=world.clock)
-    world.lives["stranger"] = Lifecycle(IngestService(stranger), warm_in_thread=False)
+    """Another vehicle's rover on the same network, by mistake under the same id: it gives way, being the younger one."""
     world.play(5)
-    world.lives["stranger"].start()
-    world.lives["stranger"].step(0.0)
+    stranger = Context(id="rover", role=Role.INGEST, deployment=world.deployment, bus=MemoryBus("rover", world.network), clock=world.clock)
+    life = world.lives["stranger"] = Lifecycle(IngestService(stranger), warm_in_thread=False)
+    life.start()
+    life.step(0.0)
     world.streams["stranger"] = simulated("heading")
+    with pytest.raises(NamesakeError, match=r"another process has the id 'rover'"):
+        world.play(20)
+    assert stranger.bus.counters["published"] > 5
+    del world.lives["stranger"], world.streams["stranger"]
+    life.finish()
+    world.settle()
     world.play(10)
     fixed = [s for s in world.solutions() if s.status_name == "FIX"]
     assert len(fixed) >= 8
@@ -263,3 +273,47 @@ def test_the_output_writes_pos_lines_with_their_header(world: World) -> None:
     solved = [s for s in world.solutions() if s.status]
     assert len(lines) == len(solved)
     assert [float(v) for v in lines[-1][2:5]] == pytest.approx(solved[-1].position_ecef_m, abs=6e-5)
+
+
+def told(life: Lifecycle, *reports: LinkReport, after_s: float) -> None:
+    """Let a link tell what becomes of it."""
+    for report in reports:
+        life.context.inbox.put(report, lane="source")
+        life.step(0.0)
+        life.context.clock.advance(after_s)
+        life.step(0.0)
+
+
+@pytest.fixture
+def ingest() -> Lifecycle:
+    """An ingest whose source says only what the test lets it say."""
+    table = IngestTable(source="tcp://127.0.0.1:1")
+    network = MemoryNetwork()
+    context = Context(
+        id="rover", role=Role.INGEST, deployment=Deployment(ingest={"rover": table}), bus=MemoryBus("rover", network), clock=ManualClock()
+    )
+    service = IngestService(context)
+    service._start_source = lambda: None
+    life = Lifecycle(service, warm_in_thread=False)
+    life.start()
+    life.step(0.0)
+    return life
+
+
+def test_what_becomes_of_a_source_is_logged_once(ingest: Lifecycle, caplog: pytest.LogCaptureFixture) -> None:
+    """A failure that changes the state is one line, the same again none, another one a line; as events they are all there."""
+    caplog.set_level("INFO")
+    told(ingest, *(LinkReport(LinkState.ERROR, detail) for detail in ("no such port", "no such port", "a busy port")), after_s=0.2)
+    said = [record.getMessage() for record in caplog.records if "port" in record.getMessage()]
+    assert said == ["DEGRADED no such port", "tcp source: a busy port"]
+    assert isinstance(ingest.context.bus, MemoryBus)
+    events = [decode(Event, sample.payload) for sample in ingest.context.bus.sent(EVENT, level="warning")]
+    assert [event.text for event in events if event.code == "source_error"] == ["tcp source: no such port", "tcp source: a busy port"]
+
+
+def test_a_silent_connection_is_stale_and_not_at_fault(ingest: Lifecycle, caplog: pytest.LogCaptureFixture) -> None:
+    """That it is made anew now and then is no news."""
+    caplog.set_level("INFO")
+    anew = [LinkReport(state, "tcp://127.0.0.1:1") for state in (LinkState.CONNECTING, LinkState.WAITING)]
+    told(ingest, *anew * 4, after_s=10.0)
+    assert [record.getMessage().split()[0] for record in caplog.records] == ["STALE"]

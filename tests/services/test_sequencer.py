@@ -38,3 +38,23 @@ def test_a_restarted_ingest_begins_anew() -> None:
     sequencer.take(5, "a", 5, 0.0)
     assert sequencer.take(10, "b", 0, 0.0) == [10]
     assert (sequencer.restarts, sequencer.lost) == (1, 0)
+
+
+def test_who_joins_a_replay_under_way_waits_for_nothing_before() -> None:
+    """Cached navigation data of earlier are taken at once with the first epoch, none of what lies between counts as lost."""
+    sequencer: Sequencer[str] = Sequencer(complete=True, hold_s=10.0)
+    assert sequencer.take("eph 7", "a", 7, 0.0, anchors=False) == []
+    assert sequencer.take("eph 3", "a", 3, 0.0, anchors=False) == []
+    assert sequencer.take("obs", "a", 700, 0.0, joins=True) == ["eph 3", "eph 7", "obs"]
+    assert sequencer.take("next", "a", 701, 0.0) == ["next"]
+    assert sequencer.lost == 0
+
+
+def test_gaps_are_waited_for_together() -> None:
+    """Several gaps cost one wait, not one each; a younger one is still waited for."""
+    sequencer: Sequencer[int] = Sequencer(complete=True, hold_s=1.0)
+    for number, now_s in ((2, 0.0), (5, 0.1), (9, 0.9)):
+        assert sequencer.take(number, "a", number, now_s) == []
+    assert sequencer.overdue(1.2) == [2, 5]
+    assert sequencer.overdue(2.0) == [9]
+    assert sequencer.lost == 7

@@ -70,7 +70,7 @@ class Rtk:
         self._state: FilterState | None = None
         self._scale = new_code_scale()
         self._memory = new_memory()
-        self._prediction = np.full(4, nan)
+        self._prediction = np.full(7, nan)
         self._resets = 0
         self._absurd = 0
         self._was_fixed = False

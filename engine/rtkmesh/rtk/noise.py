@@ -40,15 +40,20 @@ def cn0_factor(cn0_dbhz: float) -> float:
     return 1.0 + 10.0 ** (-0.1 * (cn0_dbhz - CN0_KNEE_DBHZ))
 
 
+PHASE_PRIOR_DOF: Final = 30.0  # what the default phase sigma is worth: one or two epochs with integers
+PHASE_MEMORY_DOF: Final = 2000.0  # some minutes: multipath of a place
+PHASE_LEAST: Final = 0.02  # variance factor: 0.4 mm, survey antennas under open sky
+PHASE_MOST: Final = 4.0  # 6 mm, patch antennas; a wrong fix must not make itself look right by raising it further
+
 # The variance factor of pseudoranges per system is learned from residuals: one default cannot suit survey antennas and patches. Its rows
 # are sums of squared normalised residuals and their degrees of freedom; the estimate is the posterior mean of a scaled inverse chi-square
-# with SCALE_PRIOR_DOF degrees of freedom at 1.
-SQUARES, DOF = 0, 1
+# with SCALE_PRIOR_DOF degrees of freedom at 1. The first two columns of the third row are the same two numbers of all phases.
+SQUARES, DOF, PHASE = 0, 1, 2
 
 
 def new_code_scale() -> Matrix:
-    """Return the memory (2, systems) of what codes have shown of their noise: nothing."""
-    return np.zeros((2, len(SYSTEMS)))
+    """Return the memory (3, systems) of what codes have shown of their noise: nothing."""
+    return np.zeros((3, len(SYSTEMS)))
 
 
 @kernel
@@ -68,3 +73,21 @@ def learn_codes(scale: Matrix, trial: Matrix) -> None:
         squares, dof = scale[SQUARES, k] + trial[SQUARES, k], scale[DOF, k] + trial[DOF, k]
         shrink = min(1.0, SCALE_MEMORY_DOF / max(dof, 1.0))
         scale[SQUARES, k], scale[DOF, k] = squares * shrink, dof * shrink
+
+
+@kernel
+def phase_factor(scale: Matrix) -> float:
+    """Return the variance factor of phases."""
+    raw = (PHASE_PRIOR_DOF + scale[PHASE, SQUARES]) / (PHASE_PRIOR_DOF + scale[PHASE, DOF])
+    return min(max(raw, PHASE_LEAST), PHASE_MOST)
+
+
+@kernel
+def learn_phases(scale: Matrix, squares: float, dof: float) -> None:
+    """Take in squared phase residuals of a solution with integers, normalised for a factor of 1, and their degrees of freedom.
+
+    Float solutions say nothing: their ambiguities swallow the multipath that a fixed position suffers from.
+    """
+    squares, dof = scale[PHASE, SQUARES] + squares, scale[PHASE, DOF] + dof
+    shrink = min(1.0, PHASE_MEMORY_DOF / max(dof, 1.0))
+    scale[PHASE, SQUARES], scale[PHASE, DOF] = squares * shrink, dof * shrink

@@ -11,7 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.matching import Rules, distinct, match
-from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM
+from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, learn_phases, phase_factor
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
@@ -30,6 +30,9 @@ _ZENITH_SIGMA_M: Final = 0.02
 _ZENITH_WALK_M: Final = 5e-5  # per square root of second
 _SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
+
+_DOPPLER_STEP_S: Final = 2.5  # over longer steps the mean of two velocities says little
+_DOPPLER_SIGMA_MPS: Final = 0.3  # of that mean: Doppler noise of patch antennas, and jerk
 
 SOLVED, FEW_COMMON, NOT_FINITE = range(3)
 
@@ -60,8 +63,8 @@ class Known(NamedTuple):
     """What is carried from epoch to epoch beside the filter; ``memory``, ``scale`` and ``prediction`` are written to.
 
     ``times_s`` are now rover, now base, last rover, last base on the filter's clock; ``last_model_ecef_m`` is where the rover was taken to
-    be in the last epoch; ``prediction`` where the last fix and the phases since put the baseline (m, ECEF) and its sigma, NaN without; the
-    velocity is the Doppler velocity relative to the base, NaN without.
+    be in the last epoch; ``prediction`` where the last fix and the motion since put the baseline (m, ECEF), its sigma (m), and the last
+    epoch's velocity; the velocity is the Doppler velocity relative to the base. What is not known is NaN.
     """
 
     times_s: Vector
@@ -144,6 +147,9 @@ def solve(before: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         resolution = resolve(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
+    if resolution.fixed and resolution.grade >= 2:
+        squares = (outcome.phase_chi2 + resolution.norm) * phase_factor(known.scale)
+        learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     if not resolution.fixed:
@@ -156,12 +162,21 @@ def solve(before: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
 
 @kernel
 def predict_fix(known: Known, arranged: Arranged, model_ecef_m: Vector, base_moves: bool) -> None:
-    """Carry the last fix on by the motion that the phases show."""
-    last = known.prediction
-    if not isfinite(last[3]) or arranged.redundancy < 1 or base_moves:
-        last[:] = np.nan
-        return
+    """Carry the last fix on by the motion that the phases show; where these are too few or contradict the Dopplers, by that of these."""
+    last, velocity, dt = known.prediction, known.velocity_mps, known.times_s[0] - known.times_s[2]
+    cov, by_phase, by_doppler, apart_m = arranged.motion_cov_m2, np.empty(3), np.empty(3), 0.0
     for i in range(3):
-        last[i] += model_ecef_m[i] - known.last_model_ecef_m[i] + arranged.motion_m[i]
-    cov = arranged.motion_cov_m2
-    last[3] += sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
+        by_doppler[i] = 0.5 * dt * (velocity[i] + last[4 + i])
+        by_phase[i] = model_ecef_m[i] - known.last_model_ecef_m[i] + arranged.motion_m[i]
+        apart_m += (by_phase[i] - by_doppler[i]) ** 2
+    last[4:] = velocity[:3]
+    heard = isfinite(by_doppler[0]) and dt <= _DOPPLER_STEP_S
+    contradicted = heard and sqrt(apart_m) > 4.0 * _DOPPLER_SIGMA_MPS * dt
+    if arranged.redundancy >= 1 and not base_moves and not contradicted:
+        last[:3] += by_phase
+        last[3] += sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
+    elif heard:
+        last[:3] += by_doppler
+        last[3] += _DOPPLER_SIGMA_MPS * dt
+    else:
+        last[:4] = np.nan

@@ -56,7 +56,7 @@ def find_slips(
     """Write per pair NO_SLIP, KNOWN_SLIP (with the jump in cycles) or LOST; the motion of the rover (m, against its model positions).
 
     ``place`` are rows of ``history`` (-1: no phase); ``times_s`` are now rover, now base, last rover, last base. Return the redundancy of
-    the rover's test.
+    the rover's test, in satellites: two bands of one satellite witness the same thing.
     """
     n, wavelength = len(place), d.table[:, WAVELENGTH]
     rover_dt, base_dt = times_s[0] - times_s[2], times_s[1] - times_s[3]
@@ -76,6 +76,8 @@ def find_slips(
         if together:
             change[k] -= base_change[k]
     redundancy = time_difference_test(change, d.rover_direction, threshold, setup.rover_moves, residual, motion, motion_cov)
+    if redundancy != UNTESTED:
+        redundancy = min(redundancy, _agreeing(d.pairs.satellite, residual, threshold) - (4 if setup.rover_moves else 1))
     base_redundancy = UNTESTED
     if not together and base_dt > 0.0:
         base_redundancy = _test_base(d, base_change, base_dt, setup, base_residual, slip)
@@ -94,6 +96,17 @@ def find_slips(
         if not isfinite(jump):
             slip[k] = LOST
     return redundancy
+
+
+@kernel
+def _agreeing(satellite: NDArray[np.int16], residual_m: Vector, threshold_m: Vector) -> int:
+    """Return how many satellites (sorted) have a phase that fits."""
+    count, last = 0, -1
+    for k in range(len(satellite)):
+        if abs(residual_m[k]) <= threshold_m[k] and satellite[k] != last:
+            last = satellite[k]
+            count += 1
+    return count
 
 
 @kernel

@@ -26,7 +26,7 @@ from rtkmesh.rtk.filter import (
     posterior,
     residuals,
 )  # fmt: skip
-from rtkmesh.rtk.noise import DOF, SQUARES, code_factors, learn_codes
+from rtkmesh.rtk.noise import DOF, SQUARES, code_factors, learn_codes, phase_factor
 from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, ELEVATION_RAD, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.velocity import add_velocity
@@ -87,10 +87,11 @@ def update(f: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mp
         np.empty((2 * d.pairs.groups, states + 2)), np.empty((states, states)), np.empty(states), np.empty(2 * n), np.empty(2 * n),
     )  # fmt: skip
     trial = np.zeros((2, systems))
+    phase_scale = phase_factor(scale)
     factors = code_factors(scale, trial)
     ok = False
     for _ in range(_SOLUTIONS):
-        fill_observations(f, d, layout, factors, work)
+        fill_observations(f, d, layout, factors, phase_scale, work)
         ok = adjust(f, work, velocity_mps, velocity_cov_m2ps2)
         if not ok:
             break
@@ -145,7 +146,7 @@ def _outcome(ok: bool, work: Work, n: int) -> Update:
 
 
 @kernel
-def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector, work: Work) -> None:
+def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector, phase_scale: float, work: Work) -> None:
     """Write code (first n rows) and phase (last n rows) observations of n pairs; ``factors`` are those of code variances per system."""
     n, table, out, places = len(d.pairs.satellite), d.table, work.observations, work.places
     for k in range(n):
@@ -166,7 +167,7 @@ def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector
             out[row, H_SLOPE] = table[k, CHANNEL]
             places[row, AT_SLOPE] = layout.slope if part == 1 and table[k, CHANNEL] != 0.0 else -1
             y = table[k, CODE] if part == 0 else table[k, PHASE]
-            variance = table[k, CODE_VARIANCE] * layout.code_inflation[k] * scale if part == 0 else table[k, PHASE_VARIANCE]
+            variance = table[k, CODE_VARIANCE] * layout.code_inflation[k] * scale if part == 0 else table[k, PHASE_VARIANCE] * phase_scale
             for i in range(4):
                 if places[row, AT_ZENITH + i] >= 0:
                     y -= out[row, H_ZENITH + i] * f.x[DYNAMIC + places[row, AT_ZENITH + i]]

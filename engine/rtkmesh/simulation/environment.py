@@ -38,9 +38,13 @@ def hidden_below_rad(windows: Sequence[Window], time_s: float) -> float:
 
 
 class Atmosphere:
-    """Deviations from the standard models over one site, smooth in space and time, the same for all its receivers."""
+    """Deviations from the standard models over one site, smooth in space and time, the same for all its receivers.
 
-    def __init__(self, seed: int) -> None:
+    ``activity`` scales the ionosphere's: 1 is a quiet day of middle latitudes, 3 an active one.
+    """
+
+    def __init__(self, seed: int, activity: float = 1.0) -> None:
+        self._amplitude_m = activity * _WAVE_AMPLITUDE_M
         rng = np.random.default_rng((seed, 7001))
         self._phases = rng.uniform(0.0, 2.0 * pi, 4)
         self._directions = rng.uniform(0.0, 2.0 * pi, 2)
@@ -66,6 +70,6 @@ class Atmosphere:
         """Return what the slant L1 delay has beyond Klobuchar's, per satellite; thin shell of 350 km over a flat site."""
         away_m = _SHELL_M / np.tan(np.maximum(elevation_rad, 0.1))
         east_m, north_m = away_m * np.sin(azimuth_rad), away_m * np.cos(azimuth_rad)
-        vertical_m = sum(0.5 * _WAVE_AMPLITUDE_M * np.sin(w[0] + w[1] * east_m + w[2] * north_m) for w in waves)
+        vertical_m = sum(0.5 * self._amplitude_m * np.sin(w[0] + w[1] * east_m + w[2] * north_m) for w in waves)
         # The shell's obliquity: sine of the zenith angle at 350 km is 0.947 cos(el) (earth's radius 6371 km)
         return np.asarray(vertical_m / np.sqrt(1.0 - (0.9479 * np.cos(elevation_rad)) ** 2))

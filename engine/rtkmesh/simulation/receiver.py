@@ -8,13 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.epoch import Epoch
-from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, MAX_SATELLITE, SATELLITES_PER_SYSTEM, carrier_hz, signal_number
+from rtkmesh.gnss.signals import (
+    BEIDOU,
+    GALILEO,
+    GLONASS,
+    GPS,
+    MAX_SATELLITE,
+    SATELLITES_PER_SYSTEM,
+    SYSTEMS,
+    carrier_hz,
+    signal_number,
+)
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.geometry import AZIMUTH, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, TROPOSPHERE_M
 from rtkmesh.models.orbit import STATE
 from rtkmesh.simulation.environment import Atmosphere, Window, hidden_below_rad
 from rtkmesh.simulation.sky import CHANNELS, KLOBUCHAR, SATELLITES, Sky, absolute_s, glonass_generation
+from rtkmesh.simulation.surroundings import VIEW, Surroundings
 from rtkmesh.simulation.tracking import (
     CN0,
     CODE_SIGMA,
@@ -53,6 +64,8 @@ class ReceiverOptions:
     clock_drift: float = 3e-7  # s/s; the reading is kept within half a millisecond by jumps of one
     steered: bool = False  # the clock is held near GPS time instead
     warm: bool = True  # at the first epoch everything in view is tracked already
+    systems: str = "GREC"
+    frequencies: int = SLOTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +100,14 @@ def _signal_table() -> tuple[NDArray[np.int16], NDArray[np.float64]]:
 _SIGNAL_OF, _CARRIER_HZ = _signal_table()
 
 
+def _signals_of(options: ReceiverOptions) -> NDArray[np.int16]:
+    """Return the signal numbers of what a receiver tracks, -1 elsewhere."""
+    signals = _SIGNAL_OF.copy()
+    signals[[SYSTEMS[s // SATELLITES_PER_SYSTEM] not in options.systems for s in SATELLITES.tolist()]] = -1
+    signals[:, options.frequencies :] = -1
+    return signals
+
+
 class ReceiverClock:
     """Offset of a receiver's clock as a closed form of time: drift, a slow wander and jumps of a millisecond, or held near zero."""
 
@@ -106,13 +127,18 @@ class ReceiverClock:
 class Receiver:
     """Observes the sky from one antenna; epochs must be asked for in rising order.
 
-    ``name`` and ``seed`` decide every random number of an epoch together with its time.
+    ``name`` and ``seed`` decide every random number of an epoch together with its time. ``surroundings``: what stands around the
+    antenna (None: nothing); ``activity``: factor of what the ionosphere has beyond its model.
     """
 
-    def __init__(self, name: str, path: AntennaPath, seed: int, options: ReceiverOptions, windows: tuple[Window, ...] = ()) -> None:
+    def __init__(
+        self, name: str, path: AntennaPath, seed: int, options: ReceiverOptions, windows: tuple[Window, ...] = (),
+        surroundings: Surroundings | None = None, activity: float = 1.0,
+    ) -> None:  # fmt: skip
         self._key = (seed, int.from_bytes(name.encode(), "big"))
-        self._path, self._options, self._windows = path, options, windows
-        self._sky, self._atmosphere = Sky(), Atmosphere(seed)
+        self._path, self._options, self._windows, self._surroundings = path, options, windows, surroundings
+        self._sky, self._atmosphere = Sky(), Atmosphere(seed, activity)
+        self._signals = _signals_of(options)
         rng = np.random.default_rng((*self._key, 1))
         self._clock = ReceiverClock(options.clock_drift, steered=options.steered, rng=rng)
         self._code_biases_m = rng.normal(0.0, 1.0, (MAX_SATELLITE // SATELLITES_PER_SYSTEM, SLOTS))
@@ -120,6 +146,7 @@ class Receiver:
         n = len(SATELLITES)
         self._track = np.full((n, SLOTS, TRACK), np.nan)
         self._travel_s = np.full(n, _TRAVEL_S)
+        self._view = np.zeros((n, VIEW))
         self._states, self._geometry, self._rates = np.empty((n, STATE)), np.empty((n, GEOMETRY)), np.empty(n)
         self._klobuchar = klobuchar_vector(KLOBUCHAR)
         self._last: GpsTime | None = None
@@ -141,7 +168,10 @@ class Receiver:
         rng = np.random.default_rng((*self._key, round(tag.week * 604800000 + tag.tow_s * 1e3)))
         shape = (len(SATELLITES), SLOTS)
         normals, uniforms = rng.standard_normal((*shape, NORMALS)), rng.random((*shape, UNIFORMS))
-        self._step_tracking(tag, tag_s, normals, uniforms)
+        if self._surroundings is not None:
+            azimuth, elevation = (np.ascontiguousarray(self._geometry[:, column]) for column in (AZIMUTH, ELEVATION))
+            self._surroundings(offset, self._path.velocity_enu_mps(time_s), azimuth, elevation, self._view)
+        self._step_tracking(tag, tag_s, normals, uniforms, rng.random(shape))
         reset, self._jumps = self._last is not None and jumps != self._jumps, jumps
         self._last = tag
         options = self._options.signals
@@ -149,8 +179,8 @@ class Receiver:
         index, flags = np.empty(size, np.int64), np.empty(size, np.uint8)
         halves, values = np.empty(size, np.bool_), np.empty((VALUES, size))
         count = measure(
-            rows, self._states, self._geometry, self._rates, self._track, _SIGNAL_OF, _CARRIER_HZ, CHANNELS, self._code_biases_m,
-            self._phase_biases_cyc, tag_s, clock_s, clock_rate, options, normals, index, flags, halves, values,
+            rows, self._states, self._geometry, self._rates, self._view, self._track, self._signals, _CARRIER_HZ, CHANNELS,
+            self._code_biases_m, self._phase_biases_cyc, tag_s, clock_s, clock_rate, options, normals, index, flags, halves, values,
         )  # fmt: skip
         satellite, values = index[:count] // SLOTS, values[:, :count]
         epoch = Epoch(
@@ -169,12 +199,15 @@ class Receiver:
         waves = atmosphere.waves(offset_enu_m, time_s)
         geometry[:, IONOSPHERE_L1_M] += atmosphere.ionosphere_l1_m(waves, geometry[:, AZIMUTH], elevation)
 
-    def _step_tracking(self, tag: GpsTime, tag_s: float, normals: NDArray[np.float64], uniforms: NDArray[np.float64]) -> None:
+    def _step_tracking(
+        self, tag: GpsTime, tag_s: float, normals: NDArray[np.float64], uniforms: NDArray[np.float64], notices: NDArray[np.float64]
+    ) -> None:
         first = self._last is None
         step_s = 0.0 if self._last is None else tag - self._last
         if self._last is not None and glonass_generation(self._last) != glonass_generation(tag):
             self._track[SATELLITES // SATELLITES_PER_SYSTEM == GLONASS] = np.nan
         lowest_rad = max(self._options.elevation_mask_rad, hidden_below_rad(self._windows, tag_s))
         update_tracking(
-            self._track, self._geometry, tag_s, step_s, lowest_rad, first and self._options.warm, self._options.signals, normals, uniforms
-        )
+            self._track, self._geometry, self._view, tag_s, step_s, lowest_rad, first and self._options.warm, self._options.signals,
+            normals, uniforms, notices,
+        )  # fmt: skip

@@ -12,6 +12,7 @@ from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP
 from rtkmesh.gnss.signals import GLONASS
 from rtkmesh.models.geometry import E_X, E_Y, E_Z, ELEVATION, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, line_of_sight, receiver_geometry
 from rtkmesh.models.orbit import STATE_CLOCK, STATE_CLOCK_RATE, STATE_OK, group_delay_m, satellite_state
+from rtkmesh.simulation.surroundings import ATTENUATION_DB, CODE_SIGMA_M, EXTRA_M, EXTRA_RATE_MPS, PATH, PHASE_SIGMA_M
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -20,9 +21,10 @@ Cube = NDArray[np.float64]
 SLOTS: Final = 2  # signals per satellite
 
 # Columns of a tracking state (satellites, SLOTS, TRACK): time when the signal is acquired and since when its phase is continuous (s; NaN:
-# not tracked), ambiguity (cycles), half cycle not yet removed (0 or 1), multipath of code and phase (m), fading (dB), slipped just now.
-READY, SINCE, AMBIGUITY, HALF, CODE_MULTIPATH, PHASE_MULTIPATH, FADING, SLIPPED = range(8)
-TRACK: Final = 8
+# not tracked), ambiguity (cycles), half cycle not yet removed (0 or 1), multipath of code and phase (m), fading (dB), slipped just now,
+# way that the signal takes (PATH of the surroundings).
+READY, SINCE, AMBIGUITY, HALF, CODE_MULTIPATH, PHASE_MULTIPATH, FADING, SLIPPED, WAY = range(9)
+TRACK: Final = 9
 NORMALS: Final = 7  # random numbers per signal and epoch
 UNIFORMS: Final = 4
 
@@ -36,6 +38,8 @@ _OMEGA = OMEGA_EARTH_GPS_RADPS
 _REFERENCE_CN0 = 45.0  # dB-Hz at which the sigmas of the options hold
 _WARM_LOCK_S = 60.0
 _SECOND_SIGNAL_DELAY_S = 1.0  # the second frequency is acquired after the first
+_WEAK_CN0_DBHZ = 28.0  # our choice: about where the phase loops of robots' receivers begin to slip
+_WEAK_SLOPE_DB = 2.5  # our choice: tenfold slips for so many dB less (the mean time to a slip is exponential in the loop's noise)
 
 
 class SignalOptions(NamedTuple):
@@ -57,6 +61,9 @@ class SignalOptions(NamedTuple):
     half_cycle_time_s: float = 3.0  # until the half cycle is resolved
     acquisition_time_s: float = 2.0
     glonass_slope_m: float = 0.0  # delay per frequency channel
+    weak_slips_per_hour: float = 0.0  # of each signal at 28 dB-Hz, tenfold for every 2.5 dB less
+    untold_share: float = 0.0  # of slips that the receiver does not notice
+    loss_cn0_dbhz: float = 24.0  # an attenuated signal that is weaker is lost
 
 
 @kernel
@@ -114,14 +121,20 @@ def _troposphere_rate_mps(state: Vector, geometry: Vector, receiver_ecef_m: Vect
 
 @kernel
 def update_tracking(
-    track: Cube, geometry: Matrix, time_s: float, step_s: float, lowest_rad: float, warm: bool,
-    options: SignalOptions, normals: Cube, uniforms: Cube,
+    track: Cube, geometry: Matrix, view: Matrix, time_s: float, step_s: float, lowest_rad: float, warm: bool,
+    options: SignalOptions, normals: Cube, uniforms: Cube, notices: Matrix,
 ) -> None:  # fmt: skip
-    """Move the tracking state (n, SLOTS, TRACK) to the next epoch: acquire, lose, slip, fade; ``step_s`` is 0 at the first."""
+    """Move the tracking state (n, SLOTS, TRACK) to the next epoch: acquire, lose, slip, fade; ``step_s`` is 0 at the first.
+
+    ``view`` (n, VIEW) is what the surroundings do; ``notices`` (n, SLOTS), uniform, decides whether a slip is told.
+    """
     for i in range(track.shape[0]):
         for j in range(SLOTS):
             state, chance = track[i, j], uniforms[i, j]
-            if geometry[i, ELEVATION] < lowest_rad:
+            fading = 0.0 if np.isnan(state[SINCE]) else state[FADING]
+            cn0_dbhz = _cn0_dbhz(geometry[i, ELEVATION], j, fading, options) - view[i, ATTENUATION_DB]
+            lost = view[i, ATTENUATION_DB] > 0.0 and cn0_dbhz < options.loss_cn0_dbhz
+            if geometry[i, ELEVATION] < lowest_rad or lost:
                 state[READY], state[SINCE] = np.nan, np.nan
                 continue
             if np.isnan(state[READY]):
@@ -132,7 +145,11 @@ def update_tracking(
             if np.isnan(state[SINCE]):
                 _begin_arc(state, time_s, warm, options, normals[i, j], chance)
             else:
-                _continue_arc(state, time_s, step_s, options, normals[i, j], chance)
+                weak = 10.0 ** ((_WEAK_CN0_DBHZ - cn0_dbhz) / _WEAK_SLOPE_DB) if options.weak_slips_per_hour > 0.0 else 0.0
+                slips = (options.slips_per_hour + options.weak_slips_per_hour * weak) * step_s / 3600.0
+                other_way = state[WAY] != view[i, PATH]
+                _continue_arc(state, time_s, step_s, slips, other_way, notices[i, j], options, normals[i, j], chance)
+            state[WAY] = view[i, PATH]
 
 
 @kernel
@@ -145,8 +162,11 @@ def _begin_arc(state: Vector, time_s: float, warm: bool, options: SignalOptions,
 
 
 @kernel
-def _continue_arc(state: Vector, time_s: float, step_s: float, options: SignalOptions, normal: Vector, chance: Vector) -> None:
-    """Let multipath and fading drift (first order Gauss-Markov, unit variance) and slip now and then."""
+def _continue_arc(
+    state: Vector, time_s: float, step_s: float, slips: float, other_way: bool, notice: float, options: SignalOptions, normal: Vector,
+    chance: Vector,
+) -> None:  # fmt: skip
+    """Let multipath and fading drift (first order Gauss-Markov, unit variance) and slip: ``slips`` are expected, or certain."""
     keep = exp(-step_s / options.multipath_time_s)
     fresh = sqrt(1.0 - keep * keep)
     state[CODE_MULTIPATH] = keep * state[CODE_MULTIPATH] + fresh * normal[0]
@@ -154,18 +174,20 @@ def _continue_arc(state: Vector, time_s: float, step_s: float, options: SignalOp
     keep = exp(-step_s / options.fading_time_s)
     state[FADING] = keep * state[FADING] + sqrt(1.0 - keep * keep) * normal[2]
     state[SLIPPED] = 0.0
-    if chance[0] * 3600.0 < options.slips_per_hour * step_s:
-        state[SINCE], state[SLIPPED] = time_s, 1.0
-        state[HALF] = 1.0 if chance[3] < options.half_cycle_share else 0.0
+    if chance[0] < slips or other_way:
         size = 1.0 + np.floor(5.0 * chance[2])
         state[AMBIGUITY] += size if chance[1] < 0.5 else -size
+        if notice >= options.untold_share:
+            state[SINCE], state[SLIPPED] = time_s, 1.0
+            state[HALF] = 1.0 if chance[3] < options.half_cycle_share else 0.0
 
 
 @kernel
 def measure(
-    rows: Matrix, states: Matrix, geometry: Matrix, rates_mps: Vector, track: Cube, signals: NDArray[np.int16], carriers_hz: Matrix,
-    channels: NDArray[np.int8], code_biases_m: Matrix, phase_biases_cyc: Matrix, time_s: float, clock_s: float, clock_rate: float,
-    options: SignalOptions, normals: Cube, index: NDArray[np.int64], flags: NDArray[np.uint8], halves: NDArray[np.bool_], values: Matrix,
+    rows: Matrix, states: Matrix, geometry: Matrix, rates_mps: Vector, view: Matrix, track: Cube, signals: NDArray[np.int16],
+    carriers_hz: Matrix, channels: NDArray[np.int8], code_biases_m: Matrix, phase_biases_cyc: Matrix, time_s: float, clock_s: float,
+    clock_rate: float, options: SignalOptions, normals: Cube, index: NDArray[np.int64], flags: NDArray[np.uint8],
+    halves: NDArray[np.bool_], values: Matrix,
 ) -> int:  # fmt: skip
     """Write all measurements of an epoch and return how many: ``index`` (satellite row * SLOTS + slot), flags, values (VALUES, .).
 
@@ -181,16 +203,21 @@ def measure(
             lock_s, wavelength_m = time_s - state[SINCE], _C / carriers_hz[i, j]
             slope_m = options.glonass_slope_m * channels[i] if system == GLONASS else 0.0
             common_m = geometry[i, RANGE] + _C * (clock_s - states[i, STATE_CLOCK]) + geometry[i, TROPOSPHERE_M] + slope_m
+            common_m += view[i, EXTRA_M]
             ionosphere_m = geometry[i, IONOSPHERE_L1_M] * (_L1_HZ / carriers_hz[i, j]) ** 2
             values[CN0, count] = _cn0_dbhz(geometry[i, ELEVATION], j, state[FADING], options) + 0.4 * normals[i, j, 3]
+            values[CN0, count] -= view[i, ATTENUATION_DB]
             noise = 10.0 ** ((_REFERENCE_CN0 - values[CN0, count]) / 20.0)
             reflected = exp(-geometry[i, ELEVATION] / 0.349)
-            code_m = options.code_sigma_m * noise * normals[i, j, 4] + options.code_multipath_m * reflected * state[CODE_MULTIPATH]
-            phase_m = options.phase_sigma_m * noise * normals[i, j, 5] + options.phase_multipath_m * reflected * state[PHASE_MULTIPATH]
+            code_multipath_m = options.code_multipath_m * reflected + view[i, CODE_SIGMA_M]
+            phase_multipath_m = options.phase_multipath_m * reflected + view[i, PHASE_SIGMA_M]
+            code_m = options.code_sigma_m * noise * normals[i, j, 4] + code_multipath_m * state[CODE_MULTIPATH]
+            phase_m = options.phase_sigma_m * noise * normals[i, j, 5] + phase_multipath_m * state[PHASE_MULTIPATH]
             delay_m = group_delay_m(rows[i], signals[i, j]) + code_biases_m[system, j]
             resolved = lock_s >= options.half_cycle_time_s
             half_cyc = 0.0 if resolved else 0.5 * state[HALF]
             rate_mps = rates_mps[i] + _C * (clock_rate - states[i, STATE_CLOCK_RATE]) + options.rate_sigma_mps * noise * normals[i, j, 6]
+            rate_mps += view[i, EXTRA_RATE_MPS]
             values[PSEUDORANGE, count] = common_m + ionosphere_m + delay_m + code_m
             cycles = (common_m - ionosphere_m + phase_m) / wavelength_m
             values[PHASE, count] = cycles + state[AMBIGUITY] + half_cyc + phase_biases_cyc[system, j]

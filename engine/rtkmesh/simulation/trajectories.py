@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef
+from rtkmesh.simulation.surroundings import BLOCK_M
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -68,6 +69,34 @@ def boat(time_s: float) -> Pose:
     return Pose(position, heading, 0.06 * sin(2.0 * pi * time_s / 4.0 + 1.0), 0.14 * sin(2.0 * pi * time_s / 5.0))
 
 
+_WALK_S: Final = 240.0  # time of one round
+_WALK_M: Final = 45.0  # radius: 1.2 m/s
+
+
+def walking(time_s: float) -> Pose:
+    """Walk in a circle at 1.2 m/s, swaying at every step; level."""
+    turn = 2.0 * pi * time_s / _WALK_S
+    sway = 0.03 * sin(2.0 * pi * time_s / 1.1)
+    radius = _WALK_M + sway
+    up = 0.02 * sin(2.0 * pi * time_s / 0.55)
+    return Pose((-radius * cos(turn), radius * sin(turn), up), turn % (2.0 * pi))
+
+
+_LEG_S: Final = 15.0  # from crossing to crossing: 6 m/s in the mean, 12 at most, 2.5 m/s2
+_WAIT_S: Final = 4.0  # at a crossing
+_ROUND: Final = ((1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (-1.0, 0.0), (0.0, -1.0))  # legs east and north
+
+
+def streets(time_s: float) -> Pose:
+    """Drive around two blocks of the city of ``surroundings``, stopping at every crossing; level, heading along the street."""
+    leg, within_s = divmod(time_s % (len(_ROUND) * (_LEG_S + _WAIT_S)), _LEG_S + _WAIT_S)
+    part = min(within_s / _LEG_S, 1.0)
+    way = part - sin(2.0 * pi * part) / (2.0 * pi)
+    east = BLOCK_M * (sum(step[0] for step in _ROUND[: int(leg)]) + way * _ROUND[int(leg)][0])
+    north = BLOCK_M * (sum(step[1] for step in _ROUND[: int(leg)]) + way * _ROUND[int(leg)][1])
+    return Pose((east, north, 0.0), atan2(_ROUND[int(leg)][0], _ROUND[int(leg)][1]) % (2.0 * pi))
+
+
 def enu_from_body(pose: Pose) -> Matrix:
     """Return the rotation (3x3) that takes body vectors (forward, right, down) to east, north, up."""
     sh, ch = sin(pose.heading_rad), cos(pose.heading_rad)
@@ -120,9 +149,13 @@ class AntennaPath:
         """Return the ECEF position of a place in the site's ENU frame."""
         return self._origin_ecef_m + self._turn @ offset_enu_m
 
-    def velocity_ecef_mps(self, time_s: float) -> Vector:
-        """Return the antenna's velocity (central difference)."""
+    def velocity_enu_mps(self, time_s: float) -> Vector:
+        """Return the antenna's velocity in the site's ENU frame (central difference)."""
         if self._trajectory is None:
             return np.zeros(3)
         h = _VELOCITY_STEP_S
-        return self._turn @ (self.offset_enu_m(time_s + h) - self.offset_enu_m(time_s - h)) / (2.0 * h)
+        return (self.offset_enu_m(time_s + h) - self.offset_enu_m(time_s - h)) / (2.0 * h)
+
+    def velocity_ecef_mps(self, time_s: float) -> Vector:
+        """Return the antenna's velocity."""
+        return self._turn @ self.velocity_enu_mps(time_s)

@@ -128,11 +128,10 @@ class Foreground:
                 {"event": "end", "reason": self.reason, "seconds": round(self.seconds, 2), "solvers": solvers, "processes": self.rows}
             )
         elif not self.quiet:
-            parts = [f"{id_}: {row['epochs']} epochs, {row['fix_pct']:.1f} % FIX" for id_, row in solvers.items()]
+            why = f" ({self.reason})" if self.reason else ""
             restarts = sum(row["restarts"] for row in self.rows)
-            sys.stderr.write(
-                f"ended after {self.seconds:.1f} s{f' ({self.reason})' if self.reason else ''}; {restarts} restarts; {'; '.join(parts)}\n"
-            )
+            solved = [f"{id_}: {row['epochs']} epochs, {row['fix_pct']:.1f} % FIX" for id_, row in solvers.items()]
+            sys.stderr.write("; ".join([f"ended after {self.seconds:.1f} s{why}", f"{restarts} restarts", *solved]) + "\n")
 
     def _create(self, context: Context, keeper: Keeper) -> Service:
         if self.quiet or sys.stdout.isatty():

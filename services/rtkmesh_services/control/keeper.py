@@ -15,7 +15,8 @@ from typing import Any, Final
 from rtkmesh_schemas.config import ControlTable
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.control.fleet import ProcessSpec, restarts_between
-from rtkmesh_services.control.process import Child, OutputLine, OutputLog
+from rtkmesh_services.control.forking import ForkServer
+from rtkmesh_services.control.process import Child, OutputLine, OutputLog, Started, start_program
 from rtkmesh_services.control.supervisor import Action, ProcessState, Supervisor, Verb
 from rtkmesh_services.runtime.configuration import HUB_ID
 
@@ -37,6 +38,7 @@ class Keeper:
         hub_endpoint: str = "",
         on_line: Callable[[OutputLine], None] | None = None,
         clock_s: Callable[[], float] = time.monotonic,
+        fork_server: ForkServer | None = None,
     ) -> None:
         self._lock = threading.Lock()
         self._clock_s = clock_s
@@ -44,6 +46,7 @@ class Keeper:
         self._specs = specs
         self._hub_endpoint = hub_endpoint
         self._hub_wait_until_s = 0.0
+        self._fork_server = fork_server
         self._children: dict[str, Child] = {}
         self._selector = selectors.DefaultSelector()
         self._wake_reader, self._wake_writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -133,6 +136,7 @@ class Keeper:
     def _run(self) -> None:
         self._selector.register(self._wake_reader, selectors.EVENT_READ, None)
         while True:
+            self._tend_fork_server()
             self._open_gate()
             with self._lock:
                 now_s = self._clock_s()
@@ -144,6 +148,8 @@ class Keeper:
                 break
             self._wait(0.0 if actions else due_s - now_s)
             self._reap()
+        if self._fork_server is not None:
+            self._fork_server.close()
         self._selector.close()
 
     def _act(self, action: Action) -> None:
@@ -159,7 +165,7 @@ class Keeper:
             if record is None or not record.wanted:
                 return
             try:
-                child = Child(record.spec, self._line)
+                child = Child(record.spec, self._line, self._start)
             except OSError as error:
                 self._supervisor.not_spawned(id_, str(error), self._clock_s())
                 return
@@ -172,8 +178,10 @@ class Keeper:
         if any(child.exit_descriptor is None for child in self._children.values()):
             timeout_s = min(timeout_s, _POLL_S)
         for key, _ in self._selector.select(max(timeout_s, 0.0)):
-            child: Child | None = key.data
-            if child is None:
+            child: Child | ForkServer | None = key.data
+            if isinstance(child, ForkServer):
+                child.read()
+            elif child is None:
                 with contextlib.suppress(BlockingIOError):
                     os.read(self._wake_reader, 4096)
             elif key.fd != child.exit_descriptor and not child.read(key.fd):
@@ -191,6 +199,19 @@ class Keeper:
             del self._children[id_]
             with self._lock:
                 self._supervisor.exited(id_, code, child.last_error, self._clock_s())
+
+    def _start(self, spec: ProcessSpec) -> Started:
+        forked = None if self._fork_server is None else self._fork_server.start(spec)
+        return start_program(spec) if forked is None else forked
+
+    def _tend_fork_server(self) -> None:
+        """Keep the fork server, and hold the processes that are to come from it until it is ready."""
+        server, now_s = self._fork_server, self._clock_s()
+        if server is None:
+            return
+        server.tend(now_s, self._selector)
+        with self._lock:
+            self._supervisor.hold(server.held(now_s))
 
     def _open_gate(self) -> None:
         """Let the others start when the hub takes connections: they would else take its processor and then wait for a retry."""

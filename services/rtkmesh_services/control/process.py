@@ -8,7 +8,7 @@ import subprocess
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import IO, Any, Final
+from typing import IO, Any, Final, Protocol
 
 from rtkmesh_services.control.fleet import ProcessSpec
 
@@ -29,22 +29,53 @@ class OutputLine:
     structured: bool
 
 
+class Started(Protocol):
+    """A process of ours that has been started, however; ``subprocess.Popen`` is one."""
+
+    @property
+    def pid(self) -> int:
+        """Its number, also that of its group."""
+        ...
+
+    @property
+    def stdout(self) -> IO[bytes] | None:
+        """Our end of its output."""
+        ...
+
+    @property
+    def stderr(self) -> IO[bytes] | None:
+        """Our end of its error output."""
+        ...
+
+    def wait(self) -> int:
+        """Wait for its end; return its exit code, negative for a signal."""
+        ...
+
+
+Start = Callable[[ProcessSpec], Started]
+
+
+def start_program(spec: ProcessSpec) -> Started:
+    """Start a process as a program; OSError if that fails."""
+    return subprocess.Popen(
+        spec.argv,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=dict(spec.environment) | {PARENT_VARIABLE: str(os.getpid())},
+        start_new_session=True,
+        bufsize=0,
+    )
+
+
 class Child:
     """A running process. Made in the thread that lives as long as the child may: its death is the child's (PR_SET_PDEATHSIG)."""
 
-    def __init__(self, spec: ProcessSpec, on_line: Callable[[OutputLine], None]) -> None:
+    def __init__(self, spec: ProcessSpec, on_line: Callable[[OutputLine], None], start: Start = start_program) -> None:
         """Start the process; OSError if that fails."""
         self.spec = spec
         self._on_line = on_line
-        self._process: subprocess.Popen[bytes] = subprocess.Popen(
-            spec.argv,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=dict(spec.environment) | {PARENT_VARIABLE: str(os.getpid())},
-            start_new_session=True,
-            bufsize=0,
-        )
+        self._process = start(spec)
         self.pid = self._process.pid
         self.exit_descriptor = _pidfd(self.pid)
         self._last_error = ""
@@ -81,6 +112,7 @@ class Child:
                 pass
         code = self._process.wait()
         self._close()
+        reap_group(self.pid)
         return code
 
     @property
@@ -166,6 +198,13 @@ def parse_line(id: str, raw: bytes, *, error_stream: bool) -> OutputLine:  # noq
 def printable(text: str) -> str:
     """Return text without control characters: a terminal must not obey what a receiver or caster sent."""
     return "".join(c if c.isprintable() or c == "\t" else "?" for c in text)
+
+
+def reap_group(pid: int) -> None:
+    """Take leave of what was left in an ended process's group and has become ours."""
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-pid, os.WNOHANG) != (0, 0):
+            pass
 
 
 def _pidfd(pid: int) -> int | None:

@@ -1,5 +1,6 @@
 """The control process: parent of all processes of one deployment on this host, and their table on the network."""
 
+import os
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final
 
@@ -9,7 +10,8 @@ from rtkmesh_schemas.errors import ConfigError, SchemaError
 from rtkmesh_schemas.keys import STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
-from rtkmesh_services.control.fleet import LaunchOptions, specs_of
+from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
+from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.runtime.bus import Sample
@@ -121,10 +123,14 @@ class ControlService(Service):
             return
         reason = f": {row['reason']}" if row["reason"] else ""
         text = f"{row['role']} {row['id']} is {state}{reason}"
-        self.context.event(_LEVELS.get(state, Level.INFO), f"process_{state.lower()}", text, **row)
+        logged = state is not ProcessState.RUNNING or row["restarts"] > 0  # a process says itself that it runs
+        self.context.event(_LEVELS.get(state, Level.INFO), f"process_{state.lower()}", text, logged=logged, **row)
 
 
 def keeper_of(deployment: Deployment, options: LaunchOptions) -> Keeper:
     """Return the keeper of a deployment's fleet, not yet begun."""
     listen = deployment.hub.listen[0] if deployment.hub.enabled and deployment.hub.listen else ""
-    return Keeper(specs_of(deployment, options), deployment.control, listen)
+    specs = specs_of(deployment, options)
+    roles = tuple(role for role in FORKED if any(spec.role is role for spec in specs))
+    server = ForkServer(roles, clean_environment(os.environ, Role.SOLVER)) if roles else None
+    return Keeper(specs, deployment.control, listen, fork_server=server)

@@ -79,6 +79,7 @@ class Supervisor:
         self._limits = limits
         self._records: dict[str, ProcessRecord] = {}
         self._open = False
+        self._held: frozenset[Role] = frozenset()
         self._ending = False
         self._reference_s = NEVER
         self._linked_since_s = NEVER
@@ -151,6 +152,10 @@ class Supervisor:
     def hub_ready(self) -> None:
         """Let the other processes start: the hub takes connections (or there is none of ours)."""
         self._open = True
+
+    def hold(self, roles: frozenset[Role]) -> None:
+        """Let the processes of these roles wait with their start, and no others."""
+        self._held = roles
 
     def spawned(self, id: str, pid: int, now_s: float) -> None:  # noqa: A002
         """Note the start of a process. One that is not wanted any more by now is stopped at once."""
@@ -231,7 +236,7 @@ class Supervisor:
     # -- inner
 
     def _may_start(self, record: ProcessRecord) -> bool:
-        return self._open or record.spec.role is Role.HUB
+        return (self._open and record.spec.role not in self._held) or record.spec.role is Role.HUB
 
     def _starting(self, record: ProcessRecord, now_s: float) -> Verb | None:
         due = record.wanted and record.state is ProcessState.WAITING and now_s >= record.start_at_s

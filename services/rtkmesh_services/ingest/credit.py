@@ -13,9 +13,8 @@ from math import inf
 from time import monotonic
 
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh_schemas.observation import Credit
+from rtkmesh_schemas.observation import CREDIT_WINDOW, Credit
 
-WINDOW_MESSAGES = 32
 _POLL_S = 0.1
 
 
@@ -31,7 +30,7 @@ class _Consumer:
 class CreditGate:
     """Lets a replay's thread pass when all consumers can take more. Thread-safe."""
 
-    def __init__(self, consumers: Iterable[str], window: int = WINDOW_MESSAGES, patience_s: float = 0.0) -> None:
+    def __init__(self, consumers: Iterable[str], window: int = CREDIT_WINDOW, patience_s: float = 0.0) -> None:
         self._consumers = {name: _Consumer() for name in consumers}
         self._window, self._patience_s = window, patience_s
         self._sent = -1

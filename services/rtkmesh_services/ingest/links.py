@@ -52,6 +52,10 @@ class LinkReport:
     detail: str = ""
 
 
+class SilentError(SourceError):
+    """A connection that brings nothing is made anew."""
+
+
 Sink = Callable[[Chunk | LinkReport], None]
 
 
@@ -86,7 +90,7 @@ class SocketWire:
             data = self._socket.recv(READ_BYTES)
         except TimeoutError:
             if time.monotonic() - self._heard_s > self._timeout_s:
-                raise SourceError(f"no data for {self._timeout_s:.0f} s") from None
+                raise SilentError(f"no data for {self._timeout_s:.0f} s") from None
             return None
         self._heard_s = time.monotonic()
         return data
@@ -192,6 +196,8 @@ class Link:
                 self._sink(LinkReport(LinkState.CONNECTING, self._where()))
                 if self._serve(self._open()):
                     backoff_s = BACKOFF_FIRST_S
+            except SilentError:
+                pass  # no fault that can be named: the ingest tells the silence
             except SourceError as error:
                 self._sink(LinkReport(LinkState.ERROR, str(error)))
             except OSError as error:

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -206,7 +207,8 @@ class IngestService(Service):
         if report.state is LinkState.ERROR:
             self._errors += 1
             if (self._state, self._detail) != (report.state, report.detail):
-                self.context.event(Level.WARNING, "source_error", f"{self._url.scheme} source: {report.detail}")
+                known = self._state is LinkState.ERROR  # else the change of state says it
+                self.context.event(Level.WARNING, "source_error", f"{self._url.scheme} source: {report.detail}", logged=known)
         elif report.state is LinkState.CONNECTED:
             self.context.event(Level.INFO, "source_connected", f"receiving from {report.detail}")
         elif self._state is LinkState.ERROR and report.state is LinkState.CONNECTING:
@@ -216,7 +218,7 @@ class IngestService(Service):
     def _end(self) -> None:
         self._publisher.end()
         self._state, self._detail = LinkState.ENDED, "the recording is at its end"
-        self.context.event(Level.INFO, "source_ended", self._detail)
+        self.context.event(Level.INFO, "source_ended", self._detail, logged=False)
 
     def _sample(self, sample: Sample) -> None:
         if sample.key == WRITE.key(self.context.id):
@@ -245,6 +247,7 @@ def consumers_of(context: Context) -> list[str]:
     return [name for name, solver in context.deployment.solver.items() if context.id in (solver.rover, solver.base, *solver.navigation)]
 
 
+@cache
 def warm_decoder() -> None:
     """Decode an epoch of each protocol that receivers send, so that the kernels are compiled or loaded before the first byte."""
     start = GpsTime(2400, 0.0)
@@ -262,6 +265,9 @@ def warm_decoder() -> None:
     for data in (encode_rawx(epoch), *encode_epoch(epoch, 1)):
         decoder.feed(data)
     decoder.flush()
+
+
+preload = warm_decoder
 
 
 def create(context: Context) -> Service:

@@ -73,10 +73,8 @@ class StreamPublisher:
         self._bus.publish(END, EndOfStream(**self._next("end")))
 
     def _epoch(self, epoch: Epoch, mono_ns: int) -> None:
-        identity = self._next("obs")
-        del identity["after"]
         utc_ns = self._context.clock.utc_ns()
-        self._bus.publish(OBS, observation_of(epoch, mono_ns=mono_ns, utc_ns=utc_ns, **identity))
+        self._bus.publish(OBS, observation_of(epoch, mono_ns=mono_ns, utc_ns=utc_ns, **self._number("obs")))
         if self.newest is None or epoch.time > self.newest.time:
             self.newest = epoch
 
@@ -96,9 +94,13 @@ class StreamPublisher:
         self._bus.publish(REF, message)
 
     def _next(self, kind: str) -> dict[str, Any]:
-        """Return the identity of the next numbered message."""
+        """Return the identity of the next message between epochs: its number, and the epoch that it follows."""
         after: GpsTime | None = None if self.newest is None else self.newest.time
-        identity = {"source": self._context.id, "start_id": self._context.start_id, "sequence": self.sequence, "after": wire_time(after)}
+        return {**self._number(kind), "after": wire_time(after)}
+
+    def _number(self, kind: str) -> dict[str, Any]:
+        """Return the identity of the next numbered message."""
+        identity = {"source": self._context.id, "start_id": self._context.start_id, "sequence": self.sequence}
         self.sequence += 1
         self.published[kind] += 1
         return identity

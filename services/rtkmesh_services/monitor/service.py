@@ -78,7 +78,7 @@ class MonitorService(Service):
             return
         role = self._health.role_of(id_)
         why = f": {now.reason}" if now.reason else ""
-        data = {"id": id_, "role": role, "health": str(now.health), "before": str(before.health), "reason": now.reason}
+        data: dict[str, Any] = {"id": id_, "role": role, "health": str(now.health), "before": str(before.health), "reason": now.reason}
         if now.good:
             self.context.event(Level.INFO, "health_good", f"{role} {id_} is {now.health}" + why, **data)
         else:

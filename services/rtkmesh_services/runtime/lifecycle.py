@@ -6,6 +6,8 @@
 import os
 import platform
 import threading
+from collections.abc import Callable
+from math import inf
 from typing import Final
 
 import msgspec
@@ -30,13 +32,13 @@ _HOST: Final = platform.node()
 class Lifecycle:
     """One service and its loop. ``start``, then ``step`` until ``ended``, then ``finish``."""
 
-    def __init__(self, service: Service, *, warm_in_thread: bool = True) -> None:
+    def __init__(self, service: Service, *, warm_in_thread: bool = True, on_open: Callable[[], object] = int) -> None:
         self.service = service
         self.context = service.context
         self._state, self._reason = State.STARTING, ""
         self._desk = CommandDesk(service, self._status_now, self.end)
         self._namesake = Namesake(self.context)
-        self._warm_in_thread = warm_in_thread
+        self._warm_in_thread, self._on_open = warm_in_thread, on_open
         self._warmed = threading.Event()
         self._warm_error: BaseException | None = None
         self._handles: list[Handle] = []
@@ -84,6 +86,8 @@ class Lifecycle:
         now_ns = self.context.clock.mono_ns()
         if now_ns >= self._next_tick_ns:
             self._tick(now_ns)
+        elif now_ns >= self._due_ns():
+            self.service.tick(now_ns)
 
     def finish(self, *, error: BaseException | None = None) -> None:
         """Let the service go, answer who still waits, say a last status. The bus stays the caller's to close."""
@@ -133,7 +137,11 @@ class Lifecycle:
         return {**self.context.bus.counters, **self._desk.counters, **dropped}
 
     def _pause_s(self) -> float:
-        return min(max((self._next_tick_ns - self.context.clock.mono_ns()) / 1e9, 0.0), self.service.tick_s)
+        due_ns = min(self._next_tick_ns, self._due_ns())
+        return min(max((due_ns - self.context.clock.mono_ns()) / 1e9, 0.0), self.service.tick_s)
+
+    def _due_ns(self) -> float:
+        return self.service.due_mono_ns() if self._desk.opened else inf
 
     def _warm(self) -> None:
         try:
@@ -150,6 +158,7 @@ class Lifecycle:
         self._desk.opened = True
         self._token = self.context.bus.live_token(self.context.role.value, self.context.id)
         self._next_tick_ns = self.context.clock.mono_ns()
+        self._on_open()
 
     def _tick(self, now_ns: int) -> None:
         self._next_tick_ns = now_ns + round(self.service.tick_s * 1e9)

@@ -97,7 +97,8 @@ class MemoryBus(Bus):
 
         def take_back() -> None:
             self.network.tokens.remove(key)
-            self._tell(Liveliness(role, id, alive=False))
+            if key not in self.network.tokens:
+                self._tell(Liveliness(role, id, alive=False))
 
         return self._keep(take_back)
 

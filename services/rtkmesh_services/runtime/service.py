@@ -1,7 +1,8 @@
 """What every process is made of: a ``Service`` and its ``Context``. This page is all that a role needs to know.
 
 A role's package has ``service.py`` with ``create(context: Context) -> Service``; ``rtkmesh run ROLE --id ID --config FILE``
-finds it by that name. One thread, the work loop, calls all hooks except ``warm``:
+finds it by that name; with ``preload() -> None`` beside it, what all processes of a role load is loaded once by ``rtkmesh up``
+(in a process without threads that they are forked from). One thread, the work loop, calls all hooks except ``warm``:
 
     class Solver(Service):
         role = Role.SOLVER
@@ -13,7 +14,7 @@ finds it by that name. One thread, the work loop, calls all hooks except ``warm`
             self.context.subscribe(EPH.key("rover", satellite="*"), lane="rover", history=True)
         def handle(self, item):          # one item of the inbox: a bus Sample, or what own threads put there
             self.context.bus.publish(SOL, message)
-        def tick(self, now_mono_ns):     # at least every ``tick_s``
+        def tick(self, now_mono_ns):     # at least every ``tick_s``, and at ``due_mono_ns()``
         def command(self, request):      # own operations; status, help, config, metrics, log, shutdown are served already
             return accepted("started")   # or: raise CommandError(Code.WRONG_STATE, "already running")
         def report(self):                # cheap: called at every tick; figures are computed only when published
@@ -33,6 +34,7 @@ import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -83,9 +85,12 @@ class Context:
 
         return self.bus.subscribe(expression, hand_over, history=history)
 
-    def event(self, level: Level, code: str, text: str, **data: Any) -> None:
-        """Publish that something happened (a stable ``code`` for programs, ``text`` for people) and log it. From any thread."""
-        self.log.log(_LEVELS[level], "%s", text, extra={"fields": {"code": code, **data}})
+    def event(self, level: Level, code: str, text: str, *, logged: bool = True, **data: Any) -> None:
+        """Publish that something happened (a stable ``code`` for programs, ``text`` for people) and log it. From any thread.
+
+        ``logged`` False: the log says it already, as a change of state or in another process.
+        """
+        self.log.log(_LEVELS[level] if logged else logging.DEBUG, "%s", text, extra={"fields": {"code": code, **data}})
         event = Event(
             id=self.id,
             level=level,
@@ -137,7 +142,11 @@ class Service(ABC):
         """Take one item of the inbox."""
 
     def tick(self, now_mono_ns: int) -> None:  # noqa: B027  a quiet default
-        """Do what time asks for; called at least every ``tick_s``."""
+        """Do what time asks for; called at least every ``tick_s``, and at ``due_mono_ns()``."""
+
+    def due_mono_ns(self) -> float:
+        """Return the instant at which ``tick`` is wanted before its turn; inf: at none. Called after every item."""
+        return inf
 
     def command(self, request: Request) -> Reply:
         """Do one of ``operations`` (others do not come here). CommandError becomes an error reply."""

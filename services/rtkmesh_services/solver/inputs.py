@@ -14,7 +14,7 @@ from rtkmesh.rtk.session import EndOfStream as End
 from rtkmesh.rtk.session import Input, Source
 from rtkmesh_schemas.errors import DecodeError, VersionError
 from rtkmesh_schemas.keys import END, EPH, IONO, OBS, REF
-from rtkmesh_schemas.observation import EndOfStream, EphemerisMessage, IonosphereMessage, Observation, ReferenceMessage, Time
+from rtkmesh_schemas.observation import CREDIT_WINDOW, EndOfStream, EphemerisMessage, IonosphereMessage, Observation, ReferenceMessage, Time
 from rtkmesh_schemas.status import InputStatus
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.mapping.navigation import ephemeris_of, glonass_bias_of, klobuchar_of, station_of, wire_time
@@ -33,7 +33,7 @@ TYPES: Final[dict[str, type[Numbered]]] = {
 STREAMS: Final = (OBS, EPH, IONO, REF, END)
 CREDIT_EVERY: Final = 8  # messages
 REPLAY_HOLD_S: Final = 10.0  # a replay is worth waiting for what a loaded machine recovers late
-STRANGER_S: Final = 1.0  # a new start of an ingest is believed when the old one has been silent for so long
+STRANGER_S: Final = 1.0  # a new start of an ingest is believed when the old one has left, or has been silent for so long
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +83,14 @@ class InputStream:
             return
         self.messages[kind] += 1
         anchors = isinstance(message, Observation | EndOfStream)
-        for ordered in self.sequencer.take(message, message.start_id, message.sequence, now_s, anchors=anchors):
+        joins = self._joins(message)
+        for ordered in self.sequencer.take(message, message.start_id, message.sequence, now_s, anchors=anchors, joins=joins):
             yield from self._arrivals(ordered)
+
+    def _joins(self, message: Numbered) -> bool:
+        """Return whether a replay was under way before us: its first epoch is further on than our credit would have allowed."""
+        first = self.replay and self._epochs_of == "" and isinstance(message, Observation)
+        return first and message.sequence > max(self.credited, -1) + CREDIT_WINDOW
 
     def _of_another(self, start_id: str, now_s: float) -> bool:
         """Return whether a message is of a second process with this id, while the first one still speaks."""
@@ -92,6 +98,10 @@ class InputStream:
             return True
         self._ours_s = now_s
         return False
+
+    def owner_left(self) -> None:
+        """No process of this id is alive any more: the next one to speak is believed at once."""
+        self._ours_s = -inf
 
     def overdue(self, now_s: float) -> Iterator[Arrival]:
         """Yield messages that were held for missing ones for too long."""

@@ -5,7 +5,6 @@ one is missing, at most for ``hold_s``; then the missing ones are counted as los
 """
 
 from dataclasses import dataclass, field
-from math import inf
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -21,44 +20,53 @@ class Sequencer(Generic[T]):
     restarts: int = 0
     start_id: str = ""
     _next: int | None = None
-    _held: dict[int, T] = field(default_factory=dict[int, T])
-    _held_since_s: float = inf
+    _held: dict[int, tuple[float, T]] = field(default_factory=dict[int, tuple[float, T]])
 
-    def take(self, item: T, start_id: str, sequence: int, now_s: float, *, anchors: bool = True) -> list[T]:
-        """Take a message and return all that are now in order. ``anchors``: an unnumbered beginning starts with this one."""
+    def take(self, item: T, start_id: str, sequence: int, now_s: float, *, anchors: bool = True, joins: bool = False) -> list[T]:
+        """Take a message and return all that are now in order.
+
+        ``anchors``: an unnumbered beginning starts with this one; ``joins``: the stream is known to have begun without us, so
+        nothing before this one is missing.
+        """
         if start_id != self.start_id:
             self._begin(start_id)
+        before = self._before(sequence) if joins else []
+        return before + self._sequenced(item, sequence, now_s, anchors=anchors)
+
+    def overdue(self, now_s: float) -> list[T]:
+        """Return messages whose missing predecessors have been waited for long enough; those count as lost."""
+        ready: list[T] = []
+        while self._held and self._next is not None and now_s - self._held[first := min(self._held)][0] >= self.hold_s:
+            self.lost += first - self._next
+            self._next = first
+            ready += self._in_order()
+        return ready
+
+    def _sequenced(self, item: T, sequence: int, now_s: float, *, anchors: bool) -> list[T]:
         if self._next is None:
             if not anchors:
                 return [item]
             self._next = sequence
         if sequence < self._next:
             return [] if anchors else [item]  # a repeated epoch, or cached navigation data from before
-        self._held[sequence] = item
-        return self._in_order(now_s)
+        self._held[sequence] = now_s, item
+        return self._in_order()
 
-    def overdue(self, now_s: float) -> list[T]:
-        """Return messages whose missing predecessors have been waited for long enough; those count as lost."""
-        if not self._held or now_s - self._held_since_s < self.hold_s or self._next is None:
-            return []
-        first = min(self._held)
-        self.lost += first - self._next
-        self._next = first
-        return self._in_order(now_s)
+    def _before(self, sequence: int) -> list[T]:
+        """Let the stream go on at ``sequence``; return what was held before it."""
+        self._next = max(self._next or 0, sequence)
+        return [self._held.pop(number)[1] for number in sorted(self._held) if number < sequence]
 
     def _begin(self, start_id: str) -> None:
         self.restarts += bool(self.start_id)
         self.start_id = start_id
         self._next = 0 if self.complete else None
         self._held.clear()
-        self._held_since_s = inf
 
-    def _in_order(self, now_s: float) -> list[T]:
+    def _in_order(self) -> list[T]:
         assert self._next is not None, "the stream has begun"
         ready: list[T] = []
         while self._next in self._held:
-            ready.append(self._held.pop(self._next))
+            ready.append(self._held.pop(self._next)[1])
             self._next += 1
-        if ready or self._held_since_s == inf:
-            self._held_since_s = now_s if self._held else inf
         return ready

@@ -23,7 +23,7 @@ from rtkmesh_services.errors import CommandError
 from rtkmesh_services.mapping.options import navigation_only, session_options
 from rtkmesh_services.mapping.position import known_position
 from rtkmesh_services.mapping.solution import satellites_message, solution_message
-from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_solver_table
 from rtkmesh_services.runtime.service import Context, Report, Service, done
 from rtkmesh_services.runtime.statistics import RollingQuantiles
@@ -45,7 +45,6 @@ class SolverService(Service):
     """One solver instance around the pure session."""
 
     role: ClassVar[Role] = Role.SOLVER
-    tick_s: ClassVar[float] = 0.02  # deadlines of waiting epochs
     operations: ClassVar[Mapping[str, str]] = {
         "start": "begin with a fresh filter",
         "stop": "no more solutions; ephemerides are still collected",
@@ -77,6 +76,7 @@ class SolverService(Service):
         """Subscribe to the streams; replays are told from the loop that we are ready."""
         self._opened_s = self._now_s()
         self._followers.watch()
+        self.context.bus.on_live(self._on_live)
         for name in self._inputs:
             for stream in STREAMS:
                 fields = {"satellite": "*"} if "{satellite}" in stream.template else {}
@@ -84,6 +84,8 @@ class SolverService(Service):
 
     def handle(self, item: Any) -> None:
         """Take one sample of a stream and solve what can be solved."""
+        if isinstance(item, Liveliness):
+            self._inputs[item.id].owner_left()
         if not isinstance(item, Sample):
             return
         stream = self._inputs.get(item.key.split("/")[1])
@@ -104,6 +106,10 @@ class SolverService(Service):
         if now_mono_ns - self._ready_ns >= READY_PERIOD_NS and self._is_ready():
             self._ready_ns = now_mono_ns
             self._credit(force=True)
+
+    def due_mono_ns(self) -> float:
+        """Return when the oldest waiting epoch has waited long enough."""
+        return self._session.deadline_s() * 1e9
 
     def command(self, request: Request) -> Reply:
         """Start, stop, restart or load."""
@@ -143,6 +149,10 @@ class SolverService(Service):
                 "antennas": {**self._session.antennas, "corrected": self._session.corrects_antennas},
             },
         )
+
+    def _on_live(self, change: Liveliness) -> None:
+        if not change.alive and change.id in self._inputs:
+            self.context.inbox.put(change, lane=f"in:{change.id}")
 
     def _sources(self) -> list[tuple[Source, str]]:
         table = self._table
@@ -301,6 +311,9 @@ class SolverService(Service):
 def replace_streams(table: SolverTable, current: SolverTable) -> SolverTable:
     """Return a loaded table with the streams of the running one: ``load`` changes options, not wiring."""
     return msgspec.structs.replace(table, rover=current.rover, base=current.base, navigation=current.navigation)
+
+
+preload = warm_engine
 
 
 def create(context: Context) -> Service:

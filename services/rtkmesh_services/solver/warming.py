@@ -1,5 +1,6 @@
 """Compiling, or loading from the cache, of the engine's kernels: by solving a few simulated epochs."""
 
+from functools import cache
 from itertools import islice
 
 from rtkmesh.codecs.messages import Message
@@ -13,8 +14,9 @@ EPOCHS = 4
 START = GpsTime(2400, 3600.0)
 
 
+@cache
 def warm_engine() -> None:
-    """Solve a few simulated epochs in the modes that use different kernels."""
+    """Solve a few simulated epochs in the modes that use different kernels; the second time nothing is left to do."""
     rover, heading, base = (simulated_messages(antenna) for antenna in ("rover", "heading", "base"))
     solve(Mode.KINEMATIC, rover, base)
     solve(Mode.MOVING_BASE, heading, rover)

@@ -1,0 +1,186 @@
+#!/usr/bin/env python3
+"""Are the published covariances honest? Normalised errors squared e' P^-1 e / 3 of fixes and of floats: 1 is honest, more is too sure.
+
+  sigmas.py [--data DIR] [--runs N] [--seed S] [--quick] [--json]
+
+Simulated: runs of the campaign's open-sky families; every position against the truth. Recorded: static pairs against their known position
+or, where there is none, against their own mean fix; the mean error of the fixes is taken away first where the recordings' page says that
+antenna phase centres differ (*) or that the truth is such a mean (†). Floats are those of a solver without integers (AmbiguityMode.OFF);
+ on recordings the first tenth of the epochs is left to converge. E, N, U: root mean square of error over sigma per axis.
+Errors of neighbouring epochs hang together: the mean is as good as a few dozens of independent ones.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import kernel_cache  # noqa: F401  first of all
+import recorded
+from campaign import random_of
+from cases import Case, data_folder, load
+from families import FAMILIES, Family
+from results import table
+from rtkmesh.gnss.frames import enu_from_ecef_at
+from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
+from rtkmesh.rtk.solution import Solution, Status
+from simulated import WRONG_M, Simulated, simulate, solve
+
+Row = dict[str, Any]
+Vector = NDArray[np.float64]
+
+RUNS: Final = 20
+QUICK_RUNS: Final = 4
+SIMULATED: Final = ("open", "open_survey_l1", "open_f9p_l1", "open_m8_l1")
+# Static recordings, and why their mean error is taken away ("" : it is not).
+RECORDED: Final = {
+    "tokyo_static_l125": "†",
+    "tokyo_static_l1gps": "†",
+    "kanagawa_60s": "",
+    "geonet_2005": "†",
+    "stromlo_l12": "*",
+    "stromlo_l125": "*",
+    "galway_a_glw1": "†",
+    "nl_35km": "*",
+}
+QUICK: Final = ("tokyo_static_l1gps", "kanagawa_60s")
+COLUMNS: Final = (
+    "data",
+    "solutions",
+    "number",
+    "mean",
+    "mean of the lower 95 %",
+    "E",
+    "N",
+    "U",
+    "sigma 3D m, median",
+    "error 3D m, median",
+)
+_CONVERGING: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Errors (n, 3) and covariances (n, 3, 3) of solutions, east-north-up, metres."""
+
+    error_m: Vector
+    cov_m2: Vector
+
+    def squares(self) -> Vector:
+        """Return the normalised errors squared, divided by the number of axes."""
+        return np.array([e @ np.linalg.solve(p, e) / 3.0 for e, p in zip(self.error_m, self.cov_m2, strict=True)])
+
+
+def errors(solutions: Sequence[Solution], truth_ecef_m: Vector) -> Errors:
+    """Return errors of positions against one truth or one per solution."""
+    if not solutions:
+        return Errors(np.empty((0, 3)), np.empty((0, 3, 3)))
+    position = np.array([s.position_ecef_m for s in solutions])
+    turn = enu_from_ecef_at(position[0])
+    return Errors((position - truth_ecef_m) @ turn.T, turn @ np.array([s.position_cov_ecef_m2 for s in solutions]) @ turn.T)
+
+
+def figures(found: Errors) -> Row:
+    """Return what the errors say of the covariances."""
+    squares = np.sort(found.squares())
+    if not len(squares):
+        return {"number": 0}
+    sigma_m = np.sqrt(np.diagonal(found.cov_m2, axis1=1, axis2=2))
+    per_axis = np.sqrt(np.mean((found.error_m / sigma_m) ** 2, axis=0))
+    return {
+        "number": len(squares),
+        "mean": float(squares.mean()),
+        "trimmed": float(squares[: max(1, round(0.95 * len(squares)))].mean()),
+        "axes": [float(v) for v in per_axis],
+        "sigma_m": float(np.median(np.linalg.norm(sigma_m, axis=1))),
+        "error_m": float(np.median(np.linalg.norm(found.error_m, axis=1))),
+    }
+
+
+def of_simulation(family: Family, seed: int, runs: int, mode: AmbiguityMode) -> Errors:
+    """Return the errors of a family's fixes, or of its floats with integers left off."""
+    parts = [_of_run(simulated, mode) for simulated in _simulated(family, seed, runs)]
+    return Errors(np.concatenate([p.error_m for p in parts]), np.concatenate([p.cov_m2 for p in parts]))
+
+
+def _simulated(family: Family, seed: int, runs: int) -> Iterator[Simulated]:
+    for run in range(runs):
+        rng = random_of(family, seed, run)
+        yield simulate(family.make(rng), rng)
+
+
+def _of_run(simulated: Simulated, mode: AmbiguityMode) -> Errors:
+    setup = replace(simulated.setup, options=replace(simulated.setup.options, ambiguity=AmbiguityOptions(mode=mode)))
+    solutions = solve(replace(simulated, setup=setup))
+    wanted = Status.FLOAT if mode is AmbiguityMode.OFF else Status.FIX
+    chosen = [k for k, s in enumerate(solutions) if s is not None and s.status is wanted]
+    found = [s for s in solutions if s is not None and s.status is wanted]
+    return errors(found, np.array([simulated.rover[k].position_ecef_m for k in chosen]).reshape(-1, 3))
+
+
+def of_recording(case: Case, offset: str, mode: AmbiguityMode) -> tuple[Errors, int]:
+    """Return the errors of right fixes or of floats of a static pair, and how many fixes were left out as wrong."""
+    options = RtkOptions(systems=case.systems, frequencies=case.frequencies)
+    fixes = [s for s in recorded.solutions(case, options) if s.status is Status.FIX]
+    position = np.array([s.position_ecef_m for s in fixes])
+    middle = np.median(position, axis=0)
+    right = np.linalg.norm(position - middle, axis=1) <= WRONG_M
+    truth = position[right].mean(axis=0) if offset else np.array(case.truth.position_ecef_m)
+    if mode is not AmbiguityMode.OFF:
+        return errors([s for s, ok in zip(fixes, right, strict=True) if ok], truth), int(np.sum(~right))
+    options = RtkOptions(systems=case.systems, frequencies=case.frequencies, ambiguity=AmbiguityOptions(mode=mode))
+    floats = [s for s in recorded.solutions(case, options) if s.status is Status.FLOAT]
+    return errors(floats[round(_CONVERGING * len(floats)) :], truth), 0
+
+
+def measured(data: Path | None, runs: int, seed: int, names: Sequence[str]) -> Iterator[Row]:
+    """Yield a row per kind of data and of solution."""
+    for family in FAMILIES:
+        if family.name in SIMULATED:
+            for title, mode in (("fix", AmbiguityMode.CONTINUOUS), ("float", AmbiguityMode.OFF)):
+                yield {"data": f"simulated: {family.title}", "kind": title} | figures(of_simulation(family, seed, runs, mode))
+    for case in load(data, list(names)) if data else []:
+        for title, mode in (("fix", AmbiguityMode.CONTINUOUS), ("float", AmbiguityMode.OFF)):
+            found, wrong = of_recording(case, RECORDED[case.name], mode)
+            row = figures(found)
+            yield {"data": f"{case.name}{RECORDED[case.name]}", "kind": title, "left_out": wrong} | row
+
+
+def page(rows: Sequence[Row]) -> str:
+    """Return the table as Markdown."""
+    return table(COLUMNS, [_cells(row) for row in rows])
+
+
+def _cells(row: Row) -> list[str]:
+    if not row["number"]:
+        return [row["data"], row["kind"], "0", *[""] * (len(COLUMNS) - 3)]
+    kind = row["kind"] + (f", without {row['left_out']} wrong" if row.get("left_out") else "")
+    numbers = [f"{v:.2f}" for v in (row["mean"], row["trimmed"], *row["axes"])]
+    return [row["data"], kind, str(row["number"]), *numbers, f"{row['sigma_m']:.4f}", f"{row['error_m']:.4f}"]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, help="folder of the recordings")
+    parser.add_argument("--runs", type=int, default=0, help=f"simulated runs per family (default {RUNS})")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs, two recordings")
+    parser.add_argument("--json", action="store_true", help="all figures, for programs")
+    options = parser.parse_args()
+    data = options.data or data_folder()
+    if data is None:
+        print("sigmas: no recordings (RTKMESH_DATA): simulation only", file=sys.stderr)
+    runs = options.runs or (QUICK_RUNS if options.quick else RUNS)
+    rows = list(measured(data, runs, options.seed, QUICK if options.quick else tuple(RECORDED)))
+    print(json.dumps(rows, indent=1) if options.json else page(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

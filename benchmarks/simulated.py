@@ -1,0 +1,211 @@
+"""A simulated run from truth to score: receivers observe, a live ``Session`` solves their epochs, the truth judges.
+
+Observations go into the session as they are, without their encoding: bytes are tested elsewhere. The session runs as it does live, on a
+clock that the run advances: what arrives late is late.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from math import pi, radians
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh.gnss.ephemeris import ReferenceStation
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh.rtk.options import Mode, RtkOptions
+from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
+from rtkmesh.rtk.solution import Solution, Status
+from rtkmesh.simulation.classes import F9P, SURVEY
+from rtkmesh.simulation.environment import Window
+from rtkmesh.simulation.faults import Disturbance, disturbed, with_orbit_error
+from rtkmesh.simulation.receiver import Observed, Receiver, ReceiverOptions
+from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, absolute_s, broadcast
+from rtkmesh.simulation.surroundings import Surroundings
+from rtkmesh.simulation.trajectories import AntennaPath, Pose, Site, Trajectory, driving
+
+Vector = NDArray[np.float64]
+Offset = tuple[float, float, float]
+Faults = Callable[[np.random.Generator, Sequence[Observed], Sequence[Observed]], tuple[list[Disturbance], list[Disturbance]]]
+
+WRONG_M: Final = 0.15
+ENOUGH_SATELLITES: Final = 5  # with fewer tracked by the rover nobody can fix, and the epoch is not counted as a chance
+_BASE_DELAY_S: Final = 0.15  # of a base epoch behind the rover's, as over a radio
+_WAIT_S: Final = 0.9
+_NEVER_AGAIN_S: Final = 1e9
+_FIRST: Final = GpsTime(2445, 0.0)
+_WEEK_S: Final = 604800
+
+
+@dataclass(frozen=True, slots=True)
+class Outage:
+    """Seconds of the run in which the rover's sky is hidden below an elevation (all of it by default)."""
+
+    start_s: float
+    duration_s: float
+    below_rad: float = pi
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """What is simulated and how it is solved.
+
+    ``base_enu_m``: place of the base at the site or, with ``base_moves``, its lever arm on the rover's vehicle. ``arrivals(k)``: which
+    base epochs reach the solver at epoch k. From ``restart_at`` on the base is dead for ``restart_gap`` epochs and comes back cold.
+    From ``shift_at`` on the base tells a position that is ``shift_enu_m`` off. ``told_restarts``: the session is restarted at the end of
+    every outage, as by the command.
+    """
+
+    epochs: int
+    options: RtkOptions = field(default_factory=RtkOptions)
+    trajectory: Trajectory = driving
+    rover: ReceiverOptions = F9P
+    base: ReceiverOptions = SURVEY
+    base_enu_m: Offset = (-420.0, 260.0, 12.0)
+    base_moves: bool = False
+    outages: tuple[Outage, ...] = ()
+    surroundings: Surroundings | None = None
+    activity: float = 1.0
+    faults: Faults | None = None
+    arrivals: Callable[[int], Sequence[int]] = lambda k: (k,)
+    restart_at: int | None = None
+    restart_gap: int = 10
+    shift_at: int | None = None
+    shift_enu_m: Offset = (0.0, 0.0, 0.0)
+    told_restarts: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """The observations of a run and its truth; ``baseline_ecef_m`` (epochs, 3) is rover minus base as they truly were."""
+
+    setup: Setup
+    seed: int
+    start: GpsTime
+    site: Site
+    rover: list[Observed]
+    base: list[Observed | None]
+    baseline_ecef_m: Vector
+    base_ecef_m: Vector
+    rover_epochs: list[Epoch]
+    base_epochs: list[Epoch | None]
+    disturbances: list[tuple[str, Disturbance]]
+
+
+def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
+    """Return a run at a random place and time of the week; every random number is ``rng``'s."""
+    seed = int(rng.integers(2**31))
+    start = _FIRST + float(rng.integers(_WEEK_S))
+    site = Site(radians(float(rng.uniform(-60.0, 60.0))), radians(float(rng.uniform(-180.0, 180.0))), float(rng.uniform(0.0, 500.0)))
+    delay_s = absolute_s(start) - float(rng.uniform(0.0, 300.0))
+
+    def begun(time_s: float) -> Pose:
+        return setup.trajectory(time_s - delay_s)
+
+    windows = tuple(Window(_NEVER_AGAIN_S, absolute_s(start) + o.start_s, o.duration_s, o.below_rad) for o in setup.outages)
+    rover_path = AntennaPath(site, begun, (0.0, 0.0, -1.5))
+    base_path = AntennaPath(site, begun if setup.base_moves else None, setup.base_enu_m)
+    rover = Receiver("rover", rover_path, seed, setup.rover, windows, setup.surroundings, setup.activity)
+    seen = [rover.observe(start + float(k)) for k in range(setup.epochs)]
+    base = _base(setup, base_path, seed, start, windows if setup.base_moves else ())
+    base_ecef_m = base_path.position_ecef_m(absolute_s(start))
+    moved = np.array([base_ecef_m if b is None or not setup.base_moves else b.position_ecef_m for b in base])
+    present = [b for b in base if b is not None]
+    on_rover, on_base = setup.faults(rng, seen, present) if setup.faults else ([], [])
+    return Simulated(
+        setup, seed, start, site, seen, base, np.array([o.position_ecef_m for o in seen]) - moved, base_ecef_m,
+        [disturbed(o.epoch, on_rover) for o in seen], [None if b is None else disturbed(b.epoch, on_base) for b in base],
+        [*(("rover", d) for d in on_rover), *(("base", d) for d in on_base)],
+    )  # fmt: skip
+
+
+def _base(setup: Setup, path: AntennaPath, seed: int, start: GpsTime, windows: tuple[Window, ...]) -> list[Observed | None]:
+    """Return what the base observes, with its restart."""
+    receiver, out = Receiver("base", path, seed, setup.base, windows, None, setup.activity), list[Observed | None]()
+    for k in range(setup.epochs):
+        if setup.restart_at is not None and setup.restart_at <= k < setup.restart_at + setup.restart_gap:
+            out.append(None)
+            continue
+        if setup.restart_at is not None and k == setup.restart_at + setup.restart_gap:
+            cold = replace(setup.base, warm=False)
+            receiver = Receiver("base, restarted", path, seed, cold, windows, None, setup.activity)
+        out.append(receiver.observe(start + float(k)))
+    return out
+
+
+def solve(run: Simulated) -> list[Solution | None]:
+    """Return the solution of every rover epoch (None: none came)."""
+    setup = run.setup
+    session = Session(SessionOptions(setup.options, pairing_for(setup.options, replay=False, maximum_wait_s=_WAIT_S)))
+    _feed_navigation(session, run)
+    ends = {round(o.start_s + o.duration_s) for o in setup.outages} if setup.told_restarts else set[int]()
+    place = {epoch.time: k for k, epoch in enumerate(run.rover_epochs)}
+    out: list[Solution | None] = [None] * setup.epochs
+    turn = run.site.ecef_from_enu()
+    for k in range(setup.epochs):
+        if k in ends:
+            session.restart()
+        session.feed(Source.ROVER, run.rover_epochs[k], float(k))
+        shift_m = turn @ np.array(setup.shift_enu_m) if setup.shift_at is not None and k >= setup.shift_at else np.zeros(3)
+        x, y, z = (run.base_ecef_m + shift_m).tolist()
+        session.feed(Source.BASE, ReferenceStation(1, (x, y, z)), k + _BASE_DELAY_S)
+        for arrived in setup.arrivals(k):
+            epoch = run.base_epochs[arrived] if 0 <= arrived < setup.epochs else None
+            if epoch is not None:
+                session.feed(Source.BASE, epoch, k + _BASE_DELAY_S)
+        for now_s in (k + _BASE_DELAY_S, k + _WAIT_S + 0.05):
+            for solution in session.solutions(now_s):
+                out[place[solution.time]] = solution
+    return out
+
+
+def _feed_navigation(session: Session, run: Simulated) -> None:
+    """Give the ephemerides of the run, as wrong as broadcast ones are, and the ionosphere's parameters."""
+    for time in (run.start, run.start + float(run.setup.epochs)):
+        for satellite in SATELLITES.tolist():
+            session.feed(Source.NAVIGATION, with_orbit_error(broadcast(satellite, time), run.seed))
+    session.feed(Source.NAVIGATION, KLOBUCHAR)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """What a run's solutions are worth, per epoch: status (0: none), error (epochs, 3; ENU, m), normalised squared error, chances."""
+
+    status: NDArray[np.int64]
+    error_enu_m: Vector
+    normalised: Vector
+    possible: NDArray[np.bool_]
+
+    @property
+    def fixed(self) -> NDArray[np.bool_]:
+        """Epochs that claim a fix."""
+        return self.status == int(Status.FIX)
+
+    @property
+    def wrong(self) -> NDArray[np.bool_]:
+        """Fixes that are off by more than WRONG_M in 3D."""
+        return self.fixed & (np.linalg.norm(self.error_enu_m, axis=1) > WRONG_M)
+
+
+def judge(run: Simulated, solutions: Sequence[Solution | None]) -> Judged:
+    """Hold solutions against the truth. Of a base that stands the rover's position is judged, relative to what the base told."""
+    setup, n = run.setup, run.setup.epochs
+    status, error, normalised = np.zeros(n, np.int64), np.full((n, 3), np.nan), np.full(n, np.nan)
+    turn = run.site.ecef_from_enu()
+    for k, solution in enumerate(solutions):
+        if solution is None:
+            continue
+        status[k] = int(solution.status)
+        relative, cov = solution.baseline_ecef_m, solution.baseline_cov_ecef_m2
+        if setup.options.mode is not Mode.MOVING_BASE:
+            shifted = setup.shift_at is not None and k >= setup.shift_at
+            told = run.base_ecef_m + (turn @ np.array(setup.shift_enu_m) if shifted else 0.0)
+            relative, cov = solution.position_ecef_m - told, solution.position_cov_ecef_m2
+        difference = relative - run.baseline_ecef_m[k]
+        error[k] = turn.T @ difference
+        if np.isfinite(difference).all() and np.isfinite(cov).all():
+            normalised[k] = difference @ np.linalg.solve(cov, difference) / 3.0
+    possible = np.array([len(np.unique(o.epoch.satellite)) >= ENOUGH_SATELLITES for o in run.rover])
+    return Judged(status, error, normalised, possible)
