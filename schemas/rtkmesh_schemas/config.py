@@ -18,6 +18,7 @@ EcefVector = tuple[
 GeodeticVector = tuple[
     Annotated[float, Meta(ge=-90.0, le=90.0)], Annotated[float, Meta(ge=-360.0, le=360.0)], Annotated[float, Meta(ge=-12000.0, le=100000.0)]
 ]
+AntennaName = Annotated[str, Meta(max_length=40)]
 ModeName = Literal["single", "dgps", "static", "static-start", "kinematic", "moving-base", "fixed"]
 LogLevel = Literal["debug", "info", "warning", "error"]
 
@@ -102,7 +103,11 @@ class SyncTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[solver.ID]``: one solver instance. ``rover``, ``base`` and ``navigation`` are ids of ingests."""
+    """``[solver.ID]``: one solver instance. ``rover``, ``base`` and ``navigation`` are ids of ingests.
+
+    ``rover_antenna`` and ``base_antenna`` are IGS names (``LEIAR25.R3 LEIT``) instead of what the streams say; ``antex`` is a file with
+    calibrations that go before the shipped ones, relative to the folder of configurations.
+    """
 
     rover: str
     base: str = ""
@@ -117,6 +122,9 @@ class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     baseline_sigma_m: Positive = 0.01
     fixed_position_ecef_m: EcefVector | None = None
     excluded: tuple[str, ...] = ()
+    rover_antenna: AntennaName = ""
+    base_antenna: AntennaName = ""
+    antex: str = ""
     autostart: bool = True
     sync: SyncTable = SyncTable()
     noise: NoiseTable = NoiseTable()

@@ -17,6 +17,7 @@ from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.rtk.solution import Status
+from rtkmesh_services.mapping.antennas import antenna_finder
 
 pytestmark = pytest.mark.data
 WRONG_M = 0.15
@@ -30,8 +31,9 @@ class Case:
     base_ecef_m: np.ndarray
     klobuchar: object = None
 
-    def solve(self, options: RtkOptions):
+    def solve(self, options: RtkOptions, antennas=(None, None)):
         engine, times = Rtk(options), [seconds(epoch.time) for epoch in self.base]
+        engine.antennas(*antennas)
         solutions = []
         for epoch in self.rover:
             i = bisect_right(times, seconds(epoch.time) + 0.025) - 1
@@ -159,3 +161,25 @@ def test_galway_walk_single_frequency(data):
     right, wrong, _ = judge(case.solve(RtkOptions(systems="GR", frequencies=1)), truth)
     assert right >= 50.0
     assert wrong == 0
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "systems", "bound_m"), [(2, "GRE", 0.004), (3, "GREJC", 0.007)], ids=["two frequencies", "three frequencies"]
+)
+def test_antennas_take_away_the_bias_of_a_mixed_pair(data, frequencies, systems, bound_m):
+    """LEIAR25.R3 against ASH701945C_M: 5 cm too high without phase centres, millimetres with them (the more with L5, taken as L2)."""
+    folder, date = data / "stromlo_rtcm", GpsTime.from_calendar(2018, 7, 14)
+    paths = [folder / "week-rollover-STR24.rtcm3", folder / "week-rollover-STR17.rtcm3"]
+    case = raw(paths, (-4467102.3061, 2683039.5304, -3666949.9820), 400, date)
+    case.rover, truth = case.rover[100:], np.array((-4467074.3577, 2683011.9038, -3667008.2845))
+    find = antenna_finder()
+    antennas = find("LEIAR25.R3      NONE", ""), find("ASH701945C_M    NONE", "")
+    up_m = []
+    for ends in ((None, None), antennas):
+        solutions = case.solve(RtkOptions(systems=systems, frequencies=frequencies), ends)
+        errors_m = np.array([s.position_ecef_m - truth for s in solutions if s.status is Status.FIX]) @ enu_from_ecef_at(truth).T
+        assert len(errors_m) > 290
+        assert np.abs(np.median(errors_m[:, :2], axis=0)).max() < 0.005
+        up_m.append(np.median(errors_m[:, 2]))
+    assert 0.04 < up_m[0] < 0.06
+    assert abs(up_m[1]) < bound_m

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch, Signals
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
+from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
@@ -57,7 +58,7 @@ def _setup_of(options: RtkOptions) -> Setup:
         resolve_setup(ambiguity, options.baseline_length_m if moving_base else None, options.baseline_sigma_m),
         noise.phase_a_m, noise.phase_b_m, noise.code_ratio, noise.ephemeris_m_per_m, options.elevation_mask_rad,
         ambiguity.elevation_mask_rad, float(ambiguity.minimum_lock_epochs), options.dynamics.ambiguity_cyc, options.mode is not Mode.DGPS,
-        ambiguity.mode is not AmbiguityMode.OFF,
+        ambiguity.mode is not AmbiguityMode.OFF, NO_PATTERNS,
     )  # fmt: skip
 
 
@@ -79,6 +80,17 @@ class Rtk:
         motion = options.dynamics
         self._motion = Motion(motion.acceleration_horizontal_mps2, motion.acceleration_vertical_mps2, _DECAY_S)
         self._bases: list[Epoch] = []
+
+    def antennas(self, rover: Antenna | None, base: Antenna | None) -> None:
+        """Take the antennas of both ends; None where one is not known, and then neither is corrected: half a correction is worse than none.
+
+        A change begins the filter anew: its ambiguities stand for the phase centres that were.
+        """
+        patterns = NO_PATTERNS if rover is None or base is None else join_patterns(rover, base)
+        if np.array_equal(patterns, self._setup.antennas):
+            return
+        self._setup = self._setup._replace(antennas=patterns)
+        self.reset()
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""

@@ -38,7 +38,10 @@ SOLVED, FEW_COMMON, NOT_FINITE = range(3)
 
 
 class Setup(NamedTuple):
-    """What one engine's options say to kernels: angles in rad, noise parameters as ``residuals`` has them."""
+    """What one engine's options say to kernels: angles in rad, noise parameters as ``residuals`` has them.
+
+    ``antennas`` are of ``models.antenna.join_patterns``, empty where they are not both known.
+    """
 
     rules: Rules
     slip: SlipSetup
@@ -53,6 +56,7 @@ class Setup(NamedTuple):
     ambiguity_walk_cyc: float
     phases: bool
     resolving: bool
+    antennas: Vector
 
 
 class Known(NamedTuple):
@@ -92,7 +96,7 @@ def conditions(setup: Setup, length_m: float, age_s: float, base_s: float) -> Co
     common = (CLOCK_DRIFT_MPS * age_s) ** 2 + (setup.ephemeris_m_per_m * length_m) ** 2
     if length_m < LONG_BASELINE_M:
         common += (IONOSPHERE_PPM * length_m) ** 2
-    return Conditions(np.array((setup.phase_a_m, setup.phase_b_m, setup.code_ratio, common)), setup.mask_rad, base_s)
+    return Conditions(np.array((setup.phase_a_m, setup.phase_b_m, setup.code_ratio, common)), setup.mask_rad, base_s, setup.antennas)
 
 
 @kernel

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Signals
-from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, carrier_hz
+from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, band_of, carrier_hz, system_of
+from rtkmesh.models.antenna import antenna_correction_m, carrier_place, pattern_of
 from rtkmesh.models.ephemeris_table import IODE, KIND, NO_EPHEMERIS, ROW, TOE_TOW, TOE_WEEK
 from rtkmesh.models.geometry import AZIMUTH, E_X, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_geometry
 from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK, satellite_states
@@ -88,6 +89,19 @@ def undifferenced(
         out[k, 0] = pseudorange_m[row] - model - delay
         if flags[row] & HALF_CYCLE == 0:
             out[k, 1] = phase_cyc[row] * wavelength_m[k] - model + delay
+
+
+@kernel
+def correct_antenna(signals: Signals, rows: Indices, satellite_index: Indices, pattern: Vector, geometry: Matrix, out: Matrix) -> None:
+    """Take what the antenna of one receiver adds from its code and phase minus model (m, n x 2)."""
+    for k in range(len(rows)):
+        s, row = satellite_index[k], rows[k]
+        if not isfinite(geometry[s, ELEVATION]):
+            continue
+        place = carrier_place(pattern, system_of(int(signals.satellite[row])), band_of(int(signals.signal[row])))
+        delay_m = antenna_correction_m(pattern, place, geometry[s, AZIMUTH], geometry[s, ELEVATION])
+        out[k, 0] -= delay_m
+        out[k, 1] -= delay_m
 
 
 @kernel
@@ -173,11 +187,15 @@ class Differences(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What of an epoch decides variances and use: noise parameters, elevation mask, time of the base epoch (on the filter's clock)."""
+    """What of an epoch decides variances and use: noise parameters, elevation mask, time of the base epoch (on the filter's clock).
+
+    ``antennas`` are of ``join_patterns``, empty where they are not both known.
+    """
 
     noise: Vector
     mask_rad: float
     base_s: float
+    antennas: Vector
 
 
 @kernel
@@ -202,6 +220,9 @@ def observe(
     lock_s, flagged, half_cycle = np.empty((n, 2)), np.empty((n, 2), np.bool_), np.empty(n, np.bool_)
     observe_receiver(rover, pairs.rover, index, wavelength_m, rover_ecef_m, klobuchar, states[0], geometry[0], out[0])
     observe_receiver(base, pairs.base, index, wavelength_m, base_ecef_m, klobuchar, states[1], geometry[1], out[1])
+    if len(conditions.antennas) > 0:
+        correct_antenna(rover, pairs.rover, index, pattern_of(conditions.antennas, 0), geometry[0], out[0])
+        correct_antenna(base, pairs.base, index, pattern_of(conditions.antennas, 1), geometry[1], out[1])
     receiver_words(rover, pairs.rover, 0, words[0], lock_s, flagged, half_cycle)
     receiver_words(base, pairs.base, 1, words[1], lock_s, flagged, half_cycle)
     table = np.empty((n, DIFFERENCE))

@@ -6,16 +6,18 @@ another stream. So the order of arrival between streams changes nothing.
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Final
 
 import numpy as np
 
+from rtkmesh.errors import OptionError
 from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix, ReferenceStation
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh.models.antenna import Antenna
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import Mode, RtkOptions
@@ -40,6 +42,7 @@ _MOST_PENDING: Final = 4096  # navigation data that wait for a rover epoch, live
 
 Navigation = KeplerEphemeris | GlonassEphemeris | KlobucharParameters | ReferenceStation | GlonassBias
 Input = Epoch | Navigation | ReceiverFix | EndOfStream
+FindAntenna = Callable[[str, str], Antenna | str]  # IGS name and serial number to the antenna, or to why there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +50,17 @@ class SessionOptions:
     """What is around the engine.
 
     ``base_position_ecef_m``: known position of the base antenna, instead of what its stream says; ``navigation_streams``: in replay,
-    solving starts only when so many navigation streams have ended.
+    solving starts only when so many navigation streams have ended; ``rover_antenna`` and ``base_antenna``: IGS names of the antennas,
+    instead of what the streams say; ``find_antenna`` knows calibrations, None: no antenna is corrected.
     """
 
     rtk: RtkOptions = field(default_factory=RtkOptions)
     pairing: PairingOptions = field(default_factory=PairingOptions)
     base_position_ecef_m: tuple[float, float, float] | None = None
     navigation_streams: int = 0
+    rover_antenna: str = ""
+    base_antenna: str = ""
+    find_antenna: FindAntenna | None = None
 
 
 def pairing_for(options: RtkOptions, *, replay: bool, maximum_wait_s: float = 1.0, matched_only: bool = False) -> PairingOptions:
@@ -84,12 +91,25 @@ class Session:
         default_factory=deque[tuple[GpsTime | None, Source, Navigation]]
     )
     _base_time: GpsTime | None = None
+    _said: dict[Source, tuple[str, str]] = field(default_factory=dict[Source, tuple[str, str]])
+    _antennas: dict[Source, Antenna | str] = field(default_factory=dict[Source, Antenna | str])
     _ended_navigation: int = 0
     rover_ended: bool = False
 
     def __post_init__(self) -> None:
         self.pairing = Pairing(self.options.pairing)
         self.engine = Rtk(self.options.rtk)
+        self._use_antennas()
+
+    @property
+    def antennas(self) -> dict[str, str]:
+        """What is known of the antennas of rover and base, for people; empty where nothing was said of one."""
+        return {source.value: str(self._antennas.get(source, "")) for source in (Source.ROVER, Source.BASE)}
+
+    @property
+    def corrects_antennas(self) -> bool:
+        """Whether positions are of antenna reference points: the antennas of both ends are known."""
+        return len(self._antennas) == 2 and all(isinstance(one, Antenna) for one in self._antennas.values())
 
     def feed(self, source: Source, message: Input, now_s: float = 0.0) -> None:
         """Take one message of a stream, in that stream's order; ``now_s`` is the deadline clock (s), unused in replay."""
@@ -128,6 +148,7 @@ class Session:
         self.options = options or self.options
         self.pairing = Pairing(self.options.pairing)
         self.engine = Rtk(self.options.rtk)
+        self._use_antennas()
         self._rover_pending = deque((0, message) for _, message in self._rover_pending)
 
     def _end(self, source: Source) -> None:
@@ -170,11 +191,33 @@ class Session:
         elif isinstance(message, KlobucharParameters):
             if self.klobuchar is None or message.system == "G" or self.klobuchar.system != "G":
                 self.klobuchar = message
+        elif isinstance(message, ReferenceStation):
+            self._station(source, message)
         elif source is Source.BASE:
-            if isinstance(message, ReferenceStation):
-                self.station = message
-            else:
-                self.glonass_bias = message
+            self.glonass_bias = message
+
+    def _station(self, source: Source, station: ReferenceStation) -> None:
+        if source is Source.BASE:
+            self.station = station
+        said = (station.antenna, station.antenna_serial)
+        if station.antenna and self._said.get(source) != said:
+            self._said[source] = said
+            self._use_antennas()
+
+    def _use_antennas(self) -> None:
+        """Tell the engine of the antennas that were configured or named by the streams."""
+        find, options = self.options.find_antenna, self.options
+        if find is None or options.rtk.mode is Mode.SINGLE:
+            return
+        for source, given in ((Source.ROVER, options.rover_antenna), (Source.BASE, options.base_antenna)):
+            name, serial = (given, "") if given else self._said.get(source, ("", ""))
+            found = find(name, serial) if name else ""
+            if given and isinstance(found, str):
+                raise OptionError(f"{source}_antenna: {found}")
+            if str(found) != str(self._antennas.get(source, "")):  # the engine begins anew with another antenna, not with its name
+                self._antennas[source] = found
+        rover, base = self._antennas.get(Source.ROVER), self._antennas.get(Source.BASE)
+        self.engine.antennas(rover if isinstance(rover, Antenna) else None, base if isinstance(base, Antenna) else None)
 
     def _base_position(self) -> "np.ndarray[tuple[int], np.dtype[np.float64]] | None":
         position = self.options.base_position_ecef_m

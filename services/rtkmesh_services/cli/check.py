@@ -74,6 +74,12 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
     for id, source in deployment.ingest.items():  # noqa: A001  the word of the design
         examine(("ingest", id, "source"), partial(_look_at_source, source.source, simulations))
         examine(("ingest", id, "date"), partial(_look_at_date, source.date))
+    for id, solver in deployment.solver.items():  # noqa: A001
+        antex, before = file.parent / deployment.deployment.config_folder / solver.antex if solver.antex else None, len(errors)
+        examine(("solver", id, "antex"), partial(_look_at_antenna, "", antex))
+        for key, name in (("rover_antenna", solver.rover_antenna), ("base_antenna", solver.base_antenna)):
+            if len(errors) == before:  # names may be of that file
+                examine(("solver", id, key), partial(_look_at_antenna, name, antex))
     for id, output in deployment.output.items():  # noqa: A001
         examine(("output", id, "target"), partial(parse_target, output.target))
     return sorted(errors, key=lambda error: error.line or 0)
@@ -106,6 +112,20 @@ def _look_at_date(text: str) -> None:
         _ = text and date.fromisoformat(text)
     except ValueError:
         raise SourceError(f"{text!r} is no day YYYY-MM-DD") from None
+
+
+def _look_at_antenna(name: str, antex: Path | None) -> None:
+    if not name and antex is None:
+        return
+    from rtkmesh.errors import OptionError
+    from rtkmesh_services.mapping.antennas import antenna_finder
+
+    try:
+        find = antenna_finder(antex)
+    except OptionError as error:
+        raise SourceError(str(error)) from None
+    if name and isinstance(found := find(name, ""), str):
+        raise SourceError(found)
 
 
 def _processes(deployment: Deployment | None) -> list[dict[str, Any]]:

@@ -128,10 +128,14 @@ class Run:
     inputs: Inputs
     options: SessionOptions
     tally: Tally = field(default_factory=Tally)
+    session: Session = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.session = Session(self.options)
 
     def solutions(self) -> Iterator[Solution]:
         """Yield the solutions of all rover epochs in time order."""
-        session = Session(self.options)
+        session = self.session
         begun = perf_counter()
         for source, message in _merged(self.inputs):
             session.feed(source, message)

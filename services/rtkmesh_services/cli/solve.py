@@ -103,7 +103,7 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
 
     Exit codes: 0 solved, 1 not one epoch could be solved, 2 wrong usage or a file that cannot be read.
     """
-    table = _solver_table(request)
+    table, folder = _solver_table(request)
     if request.base is None and table.mode != "single":
         raise SourceError(f"mode '{table.mode}' needs --base (or say --mode single)")
     if table.mode == "single" and request.coordinates == "enu":
@@ -118,7 +118,7 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     from rtkmesh_services.mapping.options import session_options
 
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date)
-    run = Run(inputs, session_options(table, replay=True, base_position_ecef_m=position))
+    run = Run(inputs, session_options(table, replay=True, base_position_ecef_m=position, folder=folder))
     try:
         with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()) as bar:
             _write(run, run.solutions(), request, output, bar)
@@ -130,38 +130,42 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     return _SOLVED if run.tally.solved else _UNSOLVED
 
 
-def _solver_table(request: Request) -> SolverTable:
-    """Return the solver's table: the configuration file's or the defaults, overruled by the flags."""
+def _solver_table(request: Request) -> tuple[SolverTable, Path]:
+    """Return the solver's table, the configuration file's or the defaults, overruled by the flags; and the folder of its files."""
     flags = {
         "mode": request.mode,
         "systems": request.systems,
         "frequencies": request.frequencies,
         "elevation_mask_deg": request.elmask,
     }
-    table = _configured(request.config) if request.config else SolverTable(rover="rover")
+    table, folder = _configured(request.config) if request.config else (SolverTable(rover="rover"), Path())
     content = msgspec.to_builtins(table) | {name: value for name, value in flags.items() if value is not None}
     content |= {"rover": "rover", "base": "base", "navigation": [f"nav{k}" for k in range(len(request.nav))]}
     try:
-        return msgspec.convert(content, SolverTable)
+        return msgspec.convert(content, SolverTable), folder
     except msgspec.ValidationError as error:
         key = str(error).rpartition("`$.")[2].rstrip("`")
         flag, allowed = _FLAGS_OF_KEYS[key]
         raise SourceError(f"--{flag} {flags[key]}: allowed are {allowed}") from error
 
 
-def _configured(path: Path) -> SolverTable:
-    """Return the one solver of a solver file ([solver]) or of a deployment file ([solver.NAME]); ConfigError names all faults."""
+def _configured(path: Path) -> tuple[SolverTable, Path]:
+    """Return the one solver of a solver file ([solver]) or of a deployment file ([solver.NAME]), and the folder of its files.
+
+    ConfigError names all faults.
+    """
     from rtkmesh_services.runtime.configuration import load_deployment, load_solver_table
 
     if not path.is_file():
         raise ConfigError(str(path), None, "no such file")
     path = path.resolve()
     if not _has_named_solvers(path):
-        return load_solver_table(path.name, path.parent)
-    tables = load_deployment(path).solver
+        return load_solver_table(path.name, path.parent), path.parent
+    deployment = load_deployment(path)
+    tables = deployment.solver
     if len(tables) != 1:
         raise ConfigError(str(path), None, f"has {len(tables)} solvers ({', '.join(tables)}); a file with one is needed here")
-    return next(iter(tables.values()))
+    return next(iter(tables.values())), path.parent / deployment.deployment.config_folder
 
 
 def _has_named_solvers(path: Path) -> bool:
@@ -253,6 +257,7 @@ def _notes(run: "Run", first: "Solution") -> list[tuple[str, str]]:
         ("amb res", options.ambiguity.mode.value),
         ("val thres", f"{options.ambiguity.ratio:.1f}"),
     ]
+    notes += [(f"{end} ant", name) for end, name in run.session.antennas.items() if name]
     base = first.base_ecef_m.tolist()
     return [*notes, ("ref pos", position_note(base))] if all(map(isfinite, base)) else notes
 

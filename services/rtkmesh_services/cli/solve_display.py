@@ -53,9 +53,13 @@ class ProgressBar:
 def report(run: Run, *, as_json: bool, quiet: bool) -> None:
     """Print the summary; what the recordings held that could not be used is part of it."""
     if as_json:
-        sys.stdout.write(json.dumps({**run.tally.as_dict(), "rejected": run.faults()}, indent=1) + "\n")
+        sys.stdout.write(json.dumps({**run.tally.as_dict(), "antennas": _antennas(run), "rejected": run.faults()}, indent=1) + "\n")
     elif not quiet:
         Console(stderr=True).print(_table(run))
+
+
+def _antennas(run: Run) -> dict[str, str | bool]:
+    return {**run.session.antennas, "corrected": run.session.corrects_antennas}
 
 
 def _table(run: Run) -> Table:
@@ -69,6 +73,9 @@ def _table(run: Run) -> Table:
         table.add_row("first fix", f"after {tally.first_fix_s:.1f} s")
     table.add_row("largest age", f"{tally.largest_age_s:.1f} s")
     table.add_row("solving", f"{1e3 * tally.solving_s / max(1, tally.epochs):.2f} ms an epoch, {tally.total_s:.1f} s in all")
+    for end, name in run.session.antennas.items():
+        if name:
+            table.add_row(f"{end} antenna", name if run.session.corrects_antennas else f"{name} (not corrected: both must be known)")
     for reason, count in tally.reasons.most_common(4):
         table.add_row("why not RTK", f"{reason.name.lower().replace('_', ' ')}: {count} epochs{_HINTS.get(reason, '')}")
     for name, counts in run.faults().items():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import radians
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -9,6 +10,7 @@ import msgspec
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.session import SessionOptions, pairing_for
 from rtkmesh_schemas.config import SolverTable
+from rtkmesh_services.mapping.antennas import antenna_finder
 
 
 def rtk_options(table: SolverTable) -> RtkOptions:
@@ -37,14 +39,19 @@ def rtk_options(table: SolverTable) -> RtkOptions:
     )
 
 
-def session_options(table: SolverTable, *, replay: bool, base_position_ecef_m: tuple[float, float, float] | None = None) -> SessionOptions:
-    """Return the session's options; ``replay`` when every source is a recording."""
+def session_options(
+    table: SolverTable, *, replay: bool, base_position_ecef_m: tuple[float, float, float] | None = None, folder: Path = Path()
+) -> SessionOptions:
+    """Return the session's options; ``replay`` when every source is a recording; ``folder`` is where relative file names begin."""
     options = rtk_options(table)
     return SessionOptions(
         rtk=options,
         pairing=pairing_for(options, replay=replay, maximum_wait_s=table.sync.max_wait_s, matched_only=table.sync.matched_only),
         base_position_ecef_m=base_position_ecef_m,
         navigation_streams=len(navigation_only(table)),
+        rover_antenna=table.rover_antenna,
+        base_antenna=table.base_antenna,
+        find_antenna=antenna_finder(folder / table.antex if table.antex else None),
     )
 
 

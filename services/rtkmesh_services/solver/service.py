@@ -141,7 +141,13 @@ class SolverService(Service):
             },
             latencies={"solve": self._solve_ms, "latency": self._latency_ms, "waited": self._waited_ms},
             last_epoch=None if newest is None else (newest.time.week, newest.time.tow_s),
-            data={"mode": self._table.mode, "rover": self._table.rover, "base": self._table.base, "end": self._ended()},
+            data={
+                "mode": self._table.mode,
+                "rover": self._table.rover,
+                "base": self._table.base,
+                "end": self._ended(),
+                "antennas": {**self._session.antennas, "corrected": self._session.corrects_antennas},
+            },
         )
 
     def _on_live(self, change: Liveliness) -> None:
@@ -160,7 +166,7 @@ class SolverService(Service):
         """Return the engine's options of a table with this solver's streams."""
         replay = all(self._ingest(name).replay for _, name in self._sources())
         known = known_position(self._ingest(table.base)) if table.base else None
-        return session_options(table, replay=replay, base_position_ecef_m=known)
+        return session_options(table, replay=replay, base_position_ecef_m=known, folder=self.context.config_folder)
 
     @contextmanager
     def _refusals(self) -> Generator[None]:
