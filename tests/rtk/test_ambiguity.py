@@ -5,7 +5,7 @@ import pytest
 
 from rtkmesh.rtk.ambiguity import add_constraints, choose_references, compare_integers, condition, difference, log_odds
 from rtkmesh.rtk.filter import OK, posterior
-from rtkmesh.rtk.validation import confidence
+from rtkmesh.rtk.memory import confidence
 
 N = 9
 

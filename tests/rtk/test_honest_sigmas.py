@@ -32,19 +32,20 @@ def sigmas() -> Iterator[ModuleType]:
             del sys.modules[name]
 
 
-# Family, bounds of the mean of its fixes and of its floats. The upper ones are the target. Behind the lower ones are 0.07, 0.05 and 0.03
-# (fixes) and 0.10, 0.07 and 0.15 (floats), over 10 runs each.
+# Family, bounds of the mean of its fixes and of its floats. The upper ones are the target, and the lower one of the first family's fixes.
+# Behind the other lower ones are 0.32 and 0.55 (fixes; short runs on one band learn the phase noise late) and 0.12, 0.05 and 0.12 (floats),
+# over 20 runs each.
 SIMULATED = [
-    ("open", (0.03, 1.5), (0.05, 1.5)),
-    ("open_survey_l1", (0.02, 1.5), (0.03, 1.5)),
-    ("open_f9p_l1", (0.015, 1.5), (0.07, 1.5)),
+    ("open", (0.7, 1.5), (0.05, 1.5)),
+    ("open_survey_l1", (0.2, 1.5), (0.03, 1.5)),
+    ("open_f9p_l1", (0.35, 1.5), (0.07, 1.5)),
 ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "fix", "float_"), SIMULATED)
 def test_simulated_open_sky(sigmas: ModuleType, name: str, fix: tuple[float, float], float_: tuple[float, float]):
-    """Never too sure of fixes or floats; unsure of both by more than the target allows."""
+    """Fixes on two bands are what they say; on one band, and floats, they are better."""
     family = next(f for f in sigmas.FAMILIES if f.name == name)
     for mode, (low, high) in ((FIX, fix), (FLOAT, float_)):
         found = sigmas.figures(sigmas.of_simulation(family, 1, RUNS, mode))
@@ -52,12 +53,12 @@ def test_simulated_open_sky(sigmas: ModuleType, name: str, fix: tuple[float, flo
         assert low < found["mean"] < high, mode
 
 
-# Recording, the same. Of fixes the upper bounds are the target, and 0.33, 0.02 and 0.27 are behind the lower ones; of floats the lower
-# bounds are the target, and 2.15, 1.54 and 3.02 are behind the upper ones.
+# Recording, the same. Of fixes all bounds but the lower one of the second (0.15 behind it) are the target; of floats the lower bounds are
+# the target, and 2.15, 1.54 and 3.03 are behind the upper ones.
 RECORDED = [
-    ("kanagawa_60s", (0.15, 1.5), (0.7, 2.8)),
-    ("tokyo_static_l1gps", (0.01, 1.5), (0.7, 2.0)),
-    ("geonet_2005", (0.12, 1.5), (0.7, 4.0)),
+    ("kanagawa_60s", (0.7, 1.5), (0.7, 2.8)),
+    ("tokyo_static_l1gps", (0.1, 1.5), (0.7, 2.0)),
+    ("geonet_2005", (0.7, 1.5), (0.7, 4.0)),
 ]
 
 
@@ -65,7 +66,7 @@ RECORDED = [
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "fix", "float_"), RECORDED)
 def test_recorded_static_pairs(sigmas: ModuleType, data: Path, name: str, fix: tuple[float, float], float_: tuple[float, float]):
-    """Real receivers that stand still: fixes are better than they say, floats worse."""
+    """Real receivers that stand still: fixes are what they say or better, floats worse."""
     case = sigmas.load(data, [name])[0]
     for mode, (low, high) in ((FIX, fix), (FLOAT, float_)):
         errors, wrong = sigmas.of_recording(case, sigmas.RECORDED[name], mode)

@@ -41,6 +41,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_LARGEST: Final = 1e30
 _AMBIGUITY_VARIANCE_CYC2: Final = 100.0**2
 _GLONASS_VARIANCE_CYC2: Final = 20.0**2  # wavelengths differ by channel: the common part must be known to some metres
 _KNOWN_SLIP_VARIANCE_CYC2: Final = 0.2**2
@@ -64,12 +65,12 @@ class Walks(NamedTuple):
 
 @kernel
 def is_finite(x: Vector, P: Matrix) -> bool:
-    """Return whether nothing has overflowed."""
+    """Return whether nothing has overflowed, or would when it is squared."""
     for i in range(len(x)):
-        if not isfinite(x[i]):
+        if not abs(x[i]) < _LARGEST:
             return False
         for j in range(len(x)):
-            if not isfinite(P[i, j]):
+            if not abs(P[i, j]) < _LARGEST:
                 return False
     return True
 

@@ -20,6 +20,7 @@ from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locat
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed, systems_of
 from rtkmesh.rtk.matching import matching_rules
+from rtkmesh.rtk.memory import forget, new_memory, resolve_setup
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
 from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, Known, Setup, differences_of, solve, solve_pair, walks_of
@@ -28,7 +29,6 @@ from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.solution import Reason, Solution
 from rtkmesh.rtk.state import FilterState, length_m, trace
-from rtkmesh.rtk.validation import forget, new_memory, resolve_setup
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -11,13 +11,14 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.matching import Rules, distinct, match
+from rtkmesh.rtk.memory import SLOPE, SLOPE_SIGMA, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, learn_phases, phase_factor
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.update import update
-from rtkmesh.rtk.validation import SLOPE, SLOPE_SIGMA, ResolveSetup, not_resolved, resolve
+from rtkmesh.rtk.validation import not_resolved, resolve
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

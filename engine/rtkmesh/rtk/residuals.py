@@ -16,7 +16,7 @@ from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, band_of, carrier_hz, syste
 from rtkmesh.models.antenna import antenna_correction_m, carrier_place, pattern_of
 from rtkmesh.models.ephemeris_table import IODE, KIND, NO_EPHEMERIS, ROW, TOE_TOW, TOE_WEEK
 from rtkmesh.models.geometry import AZIMUTH, E_X, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_geometry
-from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK, satellite_states
+from rtkmesh.models.orbit import LONGEST_RANGE_M, SHORTEST_RANGE_M, STATE, STATE_CLOCK, STATE_OK, satellite_states
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.matching import Pairs, runs
 from rtkmesh.rtk.noise import UNALIGNED_CODE_M, cn0_factor, elevation_variance
@@ -39,6 +39,7 @@ WORDS: Final = 3
 PHASE_A, PHASE_B, CODE_RATIO, COMMON_VARIANCE = range(4)
 
 _L1_HZ = 1575.42e6
+_MOST_CYCLES = 1e12  # a phase that a receiver has counted for months; more is damage
 _C = SPEED_OF_LIGHT_MPS
 
 
@@ -86,8 +87,9 @@ def undifferenced(
         delay = geometry[s, IONOSPHERE_L1_M] * scale * scale
         if not isfinite(delay):
             continue
-        out[k, 0] = pseudorange_m[row] - model - delay
-        if flags[row] & HALF_CYCLE == 0:
+        if SHORTEST_RANGE_M < pseudorange_m[row] < LONGEST_RANGE_M:
+            out[k, 0] = pseudorange_m[row] - model - delay
+        if flags[row] & HALF_CYCLE == 0 and abs(phase_cyc[row]) < _MOST_CYCLES:
             out[k, 1] = phase_cyc[row] * wavelength_m[k] - model + delay
 
 

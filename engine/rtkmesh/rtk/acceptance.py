@@ -1,0 +1,175 @@
+"""Which integers are believed when none are held: from one clear search, from a subset, or from searches that keep agreeing."""
+
+from math import log
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.rtk.ambiguity import Candidates, Search, compare_integers, search, take
+from rtkmesh.rtk.memory import (
+    ACCEPT_AFTER_STREAK,
+    ACCEPT_AT_ONCE,
+    CONFIRMED,
+    DOUBTS,
+    HELD_SINCE_S,
+    NORM_LIMIT,
+    SHOWN,
+    SLOPE_CHANGE_M,
+    STREAK_EPOCHS,
+    STREAK_EPOCHS_LEAST,
+    STREAK_S,
+    STREAK_START_S,
+    TRUSTS_GLONASS,
+    ResolveSetup,
+    release,
+)
+from rtkmesh.rtk.state import ARC_S, DYNAMIC, INTEGER, SLOPE_KEY, STREAK, Filter, place_of
+
+Vector = NDArray[np.float64]
+
+WEAK_STREAK_S: Final = 30.0  # with few ambiguities: code multipath must have changed in between
+WEAK_COUNT: Final = 8
+STRONG_COUNT: Final = 20  # with so many ambiguities that fit, ACCEPT_MANY is enough: their norm is a test in itself
+ACCEPT_MANY: Final = 5.5
+SURE: Final = 8.0  # log odds from which a new fix is shown at once, like one that fits well; others must be confirmed
+GOOD_FIT: Final = 1.0  # squared norm per ambiguity of integers of all candidates that fit well
+SUBSET_TRIES: Final = 8
+NEW_S: Final = (0.0, 5.0, 20.0)  # subsets leave out what is younger
+
+
+@kernel
+def try_new(
+    f: Filter, aided: Filter, helped: bool, candidates: Candidates, everything: Candidates, free: Search, memory: Vector,
+    setup: ResolveSetup, time_s: float,
+) -> None:  # fmt: skip
+    """Look for integers without any that are held; ``aided`` is the filter that knows a prediction, where that ``helped``."""
+    release(f)
+    memory[HELD_SINCE_S] = np.inf
+    best, level, penalty, wide = free, f, 0.0, False
+    if not _strong(best, 0.0, setup) and helped and len(candidates.row) > 1:
+        found = search_all(aided, candidates, setup)
+        best = found if found.odds > best.odds else best
+    if not _strong(best, 0.0, setup) and len(candidates.row) > 1:
+        other = _best_subset(f, candidates, setup, time_s)
+        if other.odds > best.odds:
+            best, penalty = other, log(SUBSET_TRIES)
+        if len(everything.row) > len(candidates.row):
+            flat = without_slope(f)
+            sloped, straight = search_all(f, everything, setup), search_all(flat, everything, setup)
+            with_glonass = straight if straight.odds > sloped.odds else sloped
+            if with_glonass.odds > best.odds:
+                best, penalty, wide = with_glonass, log(SUBSET_TRIES), True
+                level = flat if straight.odds > sloped.odds else f
+    if not best.resolved or len(best.pairs) < setup.minimum_ambiguities:
+        memory[STREAK_EPOCHS] = 0.0
+        return
+    _follow(f, best, memory, time_s)
+    lasting_s = STREAK_S if len(best.pairs) >= WEAK_COUNT else WEAK_STREAK_S
+    persistent = memory[STREAK_EPOCHS] >= STREAK_EPOCHS_LEAST and time_s - memory[STREAK_START_S] >= lasting_s
+    likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty
+    if not (likely or _strong(best, penalty, setup)) or best.norm > NORM_LIMIT * len(best.pairs):
+        return
+    if wide:  # the slope that GLONASS fits with is known now
+        f.x[:], f.P[:, :] = level.x, level.P
+        memory[TRUSTS_GLONASS] = 1.0
+    _hold(f, best)
+    memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED] = time_s, 0.0, 0.0
+    good = penalty == 0.0 and best.norm <= GOOD_FIT * len(best.pairs)
+    memory[SHOWN] = 1.0 if good or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
+
+
+@kernel
+def search_all(f: Filter, candidates: Candidates, setup: ResolveSetup) -> Search:
+    """Search the integers of all these candidates."""
+    return search(f, candidates, setup.length_m, setup.length_sigma_m)
+
+
+@kernel
+def _best_subset(f: Filter, candidates: Candidates, setup: ResolveSetup, time_s: float) -> Search:
+    """Search without the newest ambiguities, and without each of the weakest satellites in turn; return the one with the best odds."""
+    n = len(candidates.row)
+    best, mask, tries = search(f, take(candidates, np.zeros(n, np.bool_)), setup.length_m, setup.length_sigma_m), np.empty(n, np.bool_), 0
+    for age_s in NEW_S:
+        for k in range(n):
+            mask[k] = time_s - f.history[candidates.row[k], ARC_S] > age_s
+        best = _better(f, candidates, mask, best, setup)
+        tries += 1
+    left = np.ones(n, np.bool_)  # satellites that have not been left out yet
+    while tries < SUBSET_TRIES:
+        weakest = -1
+        for k in range(n):
+            first = k == 0 or candidates.satellite[k] != candidates.satellite[k - 1]
+            if left[k] and first and (weakest < 0 or candidates.weight[k] < candidates.weight[weakest]):
+                weakest = k
+        if weakest < 0:
+            break
+        for k in range(n):
+            mask[k] = candidates.satellite[k] != candidates.satellite[weakest]
+        left[weakest] = False
+        best = _better(f, candidates, mask, best, setup)
+        tries += 1
+    return best
+
+
+@kernel
+def _better(f: Filter, candidates: Candidates, mask: NDArray[np.bool_], best: Search, setup: ResolveSetup) -> Search:
+    """Return the search of a subset (no less than five, not all) if its odds are better."""
+    count = 0
+    for kept in mask:
+        count += 1 if kept else 0
+    if not 4 < count < len(mask):
+        return best
+    found = search_all(f, take(candidates, mask), setup)
+    return found if found.odds > best.odds else best
+
+
+@kernel
+def without_slope(f: Filter) -> Filter:
+    """Return the filter under the hypothesis that GLONASS phases have no slope (receivers of one make)."""
+    slope = place_of(f.keys, SLOPE_KEY)
+    if slope < 0:
+        return f
+    n, i = len(f.x), DYNAMIC + slope
+    x, P = f.x.copy(), f.P.copy()
+    for a in range(n):
+        gain = f.P[a, i] / f.P[i, i]
+        x[a] -= gain * f.x[i]
+        for b in range(n):
+            P[a, b] -= gain * f.P[i, b]
+    for a in range(n):
+        P[a, i], P[i, a] = 0.0, 0.0
+    x[i], P[i, i] = 0.0, SLOPE_CHANGE_M**2
+    return Filter(x, P, f.keys, f.history)
+
+
+@kernel
+def _strong(found: Search, penalty: float, setup: ResolveSetup) -> bool:
+    count = len(found.pairs)
+    if not found.resolved or count < setup.minimum_ambiguities:
+        return False
+    many = count >= STRONG_COUNT and found.norm <= 0.25 * NORM_LIMIT * count
+    return found.odds >= setup.confidence * (ACCEPT_MANY if many else ACCEPT_AT_ONCE) + penalty
+
+
+@kernel
+def _follow(f: Filter, found: Search, memory: Vector, time_s: float) -> None:
+    """Count for how long searches have given the same integers."""
+    common, different = compare_integers(f.keys, f.history[:, STREAK].copy(), f.keys, found.values)
+    if different > 0 or common < 3:
+        memory[STREAK_START_S], memory[STREAK_EPOCHS] = time_s, 0.0
+    memory[STREAK_EPOCHS] += 1.0
+    f.history[:, STREAK] = found.values
+
+
+@kernel
+def _hold(f: Filter, found: Search) -> None:
+    """Make these integers the held ones, and only these; a group's reference gets its rounded float value."""
+    release(f)
+    for k in range(len(found.pairs)):
+        state, reference = found.pairs[k, 0], found.pairs[k, 1]
+        f.history[reference - DYNAMIC, INTEGER] = np.rint(f.x[reference])
+    for k in range(len(found.pairs)):
+        state, reference = found.pairs[k, 0], found.pairs[k, 1]
+        f.history[state - DYNAMIC, INTEGER] = f.history[reference - DYNAMIC, INTEGER] + found.integers[k]
