@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
+from rtkmesh.rtk.acceptance import SURE
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import SLOPE, SLOPE_SIGMA, ResolveSetup
@@ -148,7 +149,7 @@ def solve(before: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         resolution = resolve(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
-    if resolution.fixed and resolution.grade >= 2:
+    if resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE):
         squares = (outcome.phase_chi2 + resolution.norm) * phase_factor(known.scale)
         learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     describe_resolution(resolution, figures)
