@@ -7,13 +7,17 @@ fields of a block; decoders read them and encoders write them from the same tabl
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 
-Bytes = NDArray[np.uint8]
+Bytes = bytes | NDArray[np.uint8]
+
+
+_MAX_LENGTH: Final = 62  # bits of a number that kernels read
 
 
 @kernel
@@ -45,6 +49,26 @@ def sign_magnitude_bits(buffer: Bytes, position: int, length: int) -> int:
     """Return ``length`` (2 to 62) bits from bit ``position`` as sign and magnitude (GLONASS)."""
     magnitude = unsigned_bits(buffer, position + 1, length - 1)
     return -magnitude if unsigned_bits(buffer, position, 1) else magnitude
+
+
+# One part of a field: its bits, and with the last part of a field how its number is made of all of them.
+_PART = np.dtype(
+    [("first", np.int64), ("length", np.int64), ("last", np.int64), ("sign", np.int64), ("twos", np.int64), ("scale", np.float64)]
+)
+
+
+@kernel
+def read_fields(data: bytes, start: int, parts: NDArray[np.void], values: NDArray[np.float64]) -> None:
+    """Write the scaled numbers of the fields of a block that begins at byte ``start``; ``parts`` are those of ``_PART``."""
+    code, field = 0, 0
+    for i in range(len(parts)):
+        part = parts[i]
+        code = code << part["length"] | unsigned_bits(data, 8 * start + part["first"], part["length"])
+        if part["last"]:
+            if code & part["sign"]:
+                code = code - 2 * part["sign"] if part["twos"] else part["sign"] - code
+            values[field] = code * part["scale"]
+            code, field = 0, field + 1
 
 
 class BitWriter:
@@ -119,6 +143,16 @@ class Field:
         return sum(length for _, length in self.parts)
 
 
+def _part_table(fields: tuple[Field, ...]) -> NDArray[np.void]:
+    """Return the parts of all fields as ``read_fields`` wants them."""
+    rows: list[tuple[int, int, int, int, int, float]] = []
+    for field in fields:
+        sign = 0 if field.coding is Coding.UNSIGNED else 1 << (field.length - 1)
+        twos = int(field.coding is Coding.TWOS_COMPLEMENT)
+        rows += [(first, length, int(k == len(field.parts) - 1), sign, twos, field.scale) for k, (first, length) in enumerate(field.parts)]
+    return np.array(rows, _PART)
+
+
 class Layout:
     """The fields of a block of ``bits`` bits. Immutable."""
 
@@ -127,6 +161,8 @@ class Layout:
         # By field name: (shift, mask, length) of each part from the block's end, and how to read the joined bits.
         self._parts = {f.name: tuple((bits - first - n, (1 << n) - 1, n) for first, n in f.parts) for f in fields}
         self._sign = {f.name: 0 if f.coding is Coding.UNSIGNED else 1 << (f.length - 1) for f in fields}
+        self._names = [f.name for f in fields]
+        self._table = _part_table(fields) if all(f.length <= _MAX_LENGTH for f in fields) else None
 
     def number(self, block: int, field: Field) -> int:
         """Return the unscaled number of a field."""
@@ -146,7 +182,16 @@ class Layout:
 
     def read(self, block: int) -> dict[str, float]:
         """Return the value of every field, scaled to its unit."""
-        return {field.name: self.number(block, field) * field.scale for field in self.fields}
+        size = (self.bits + 7) // 8
+        return self.read_bytes((block << 8 * size - self.bits).to_bytes(size, "big"))
+
+    def read_bytes(self, data: bytes, start: int = 0) -> dict[str, float]:
+        """Return the value of every field of the block that begins at byte ``start`` of ``data``; the caller checks the bounds."""
+        if self._table is None:
+            raise ValueError(f"{self.name} has fields that are no numbers")
+        values = np.empty(len(self._names))
+        read_fields(data, start, self._table, values)
+        return dict(zip(self._names, values.tolist(), strict=True))
 
     def write(self, values: Mapping[str, float], block: int = 0) -> int:
         """Return ``block`` with the fields named in ``values`` set (rounded to their resolution); ValueError if one does not fit."""

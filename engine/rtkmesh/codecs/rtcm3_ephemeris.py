@@ -132,11 +132,9 @@ def decode_ephemeris(payload: bytes, number: int, clock: GpsTime | None) -> Ephe
     Without a ``clock`` the weeks of 1019 and 1044 are resolved in ``ERA``; the other systems' weeks are long enough.
     """
     layout = LAYOUTS[number]
-    spare = 8 * len(payload) - layout.bits
-    if spare < 0:
+    if 8 * len(payload) < layout.bits:
         return "too short"
-    values = layout.read(int.from_bytes(payload, "big") >> spare)
-    return _DECODERS[number](values, clock)
+    return _DECODERS[number](layout.read_bytes(payload), clock)
 
 
 def _decode_gps(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:

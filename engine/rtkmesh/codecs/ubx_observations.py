@@ -1,0 +1,108 @@
+"""Measurements of RXM-RAWX to the columns of an epoch (u-blox F9 HPG 1.32 interface description, 3.17.7)."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.codecs.ubx_signals import GNSS_IDS, SATELLITE_OF, SIG_IDS, SIGNAL_OF, SV_IDS
+from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP
+from rtkmesh.gnss.signals import MAX_SATELLITE, NO_CHANNEL
+
+ROW_BYTES: Final = 32
+_GLONASS_ID: Final = 6
+_PSEUDORANGE_VALID, _PHASE_VALID, _HALF_CYCLE_VALID = 1, 2, 4  # trkStat; 8: half cycle subtracted from the phase
+_MAX_LOCK_MS = 64500  # locktime counts no further
+_MAX_PSEUDORANGE_M, _MAX_PHASE_CYC, _MAX_DOPPLER_HZ = 1e9, 1e10, 1e6  # before the first fix the receiver's clock may be anything
+
+
+@kernel
+def rawx_slip(state: NDArray[np.float64], lock_ms: int, track: int, time_s: float) -> bool:
+    """Return whether the phase slipped since this signal's last valid phase, and remember this epoch.
+
+    ``state``: time of the last epoch (s, 0: none), its lock time (ms), whether the half cycle was subtracted in it, whether a
+    slip waits to be told. The lock time fell or is shorter than the time since then, or the subtraction of the half cycle changed. A
+    slip that meets no valid phase waits for one.
+    """
+    subtracted, slipped = track >> 3 & 1, lock_ms == 0
+    if state[0] > 0.0:
+        too_short = lock_ms < _MAX_LOCK_MS and lock_ms / 1e3 + 0.1 < time_s - state[0]
+        slipped = slipped or lock_ms < state[1] or too_short or subtracted != state[2] or state[3] > 0.0
+    state[0], state[1], state[2] = time_s, lock_ms, subtracted
+    state[3] = 1.0 if slipped and not track & _PHASE_VALID else 0.0
+    return slipped
+
+
+def new_slip_state() -> NDArray[np.float64]:
+    """Return what ``rawx_slip`` remembers, by gnssId, svId and sigId: nothing yet."""
+    return np.zeros((GNSS_IDS, SV_IDS, SIG_IDS, 4))
+
+
+@kernel
+def rawx_order(octets: NDArray[np.uint8], version: int, order: NDArray[np.int64]) -> int:
+    """Fill ``order`` with (satellite * 512 + signal) * 256 + row number of known signals, rising, each signal once; return how many."""
+    rows, unsorted, place = len(order), np.empty(len(order), np.int64), np.zeros(MAX_SATELLITE, np.int64)
+    for i in range(rows):
+        gnss, sv, sig = int(octets[32 * i + 20]), int(octets[32 * i + 21]), int(octets[32 * i + 22]) if version > 0 else 0
+        known = gnss < GNSS_IDS and sig < SIG_IDS and SATELLITE_OF[gnss, sv] > 0 and SIGNAL_OF[gnss, sig] > 0
+        unsorted[i] = (int(SATELLITE_OF[gnss, sv]) * 512 + int(SIGNAL_OF[gnss, sig])) << 8 | i if known else -1
+        if known:
+            place[SATELLITE_OF[gnss, sv]] += 1
+    before = 0
+    for satellite in range(MAX_SATELLITE):
+        before, place[satellite] = before + place[satellite], before
+    for key in unsorted:
+        if key >= 0:
+            order[place[key >> 17]] = key
+            place[key >> 17] += 1
+    count = 0
+    for i in range(before):  # insertion, of which there is nothing left to do but among the signals of one satellite
+        key, k = order[i], count
+        while k > 0 and order[k - 1] >> 8 > key >> 8:
+            order[k] = order[k - 1]
+            k -= 1
+        if k > 0 and order[k - 1] >> 8 == key >> 8:
+            for j in range(k, count):
+                order[j] = order[j + 1]
+            continue
+        order[k] = key
+        count += 1
+    return count
+
+
+@kernel
+def rawx_columns(
+    rows: NDArray[np.int64], version: int, time_s: float, state: NDArray[np.float64],
+    ids: NDArray[np.int16], channel: NDArray[np.int8], flags: NDArray[np.uint8], columns: NDArray[np.float64],
+) -> int:  # fmt: skip
+    """Write the columns of an epoch, sorted by (satellite, signal); return the number of rows.
+
+    ``rows`` are the measurements (four words of 8 bytes each, at most 255), ``state`` is that of ``rawx_slip`` by gnssId, svId, sigId.
+    Rows of a satellite or signal that is not known, or that is there already, are dropped. Out, as long as there are measurements: ``ids``
+    (satellite, signal), ``channel``, ``flags``, and ``columns``: pseudorange, phase, Doppler, C/N0, lock time, sigma of pseudorange, of
+    phase.
+    """
+    octets, doubles, singles = rows.view(np.uint8), rows.view(np.float64), rows.view(np.float32)
+    order = np.empty(len(rows) // 4, np.int64)
+    count = rawx_order(octets, version, order)
+    for k in range(count):
+        ids[0, k], ids[1, k] = order[k] >> 17, order[k] >> 8 & 511
+        at = ROW_BYTES * (order[k] & 255)
+        gnss, sv, sig, freq = int(octets[at + 20]), int(octets[at + 21]), int(octets[at + 22]) if version > 0 else 0, int(octets[at + 23])
+        channel[k] = freq - 7 if gnss == _GLONASS_ID and freq <= 20 else NO_CHANNEL
+        lock_ms, track = int(octets[at + 24]) | int(octets[at + 25]) << 8, int(octets[at + 30])
+        pseudorange_m, phase_cyc, doppler_hz = doubles[at // 8], doubles[at // 8 + 1], float(singles[at // 4 + 4])
+        code_valid = track & _PSEUDORANGE_VALID and 0.0 < pseudorange_m < _MAX_PSEUDORANGE_M
+        phase_valid = track & _PHASE_VALID and abs(phase_cyc) < _MAX_PHASE_CYC
+        slipped = rawx_slip(state[gnss, sv, sig], lock_ms, track, time_s)
+        flags[k] = ((SLIP if slipped else 0) | (0 if track & _HALF_CYCLE_VALID else HALF_CYCLE)) if phase_valid else 0
+        code_index, phase_index = int(octets[at + 27]) & 15, int(octets[at + 28]) & 15
+        columns[0, k] = pseudorange_m if code_valid else np.nan
+        columns[1, k] = phase_cyc if phase_valid else np.nan
+        columns[2, k] = doppler_hz if abs(doppler_hz) < _MAX_DOPPLER_HZ else np.nan
+        columns[3, k] = octets[at + 26]
+        columns[4, k] = lock_ms / 1e3
+        columns[5, k] = 0.01 * (1 << code_index)
+        columns[6, k] = 0.004 * phase_index if 0 < phase_index < 15 else np.nan
+    return count
