@@ -11,12 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, SISA_M, URA_M, accuracy_index, accuracy_m
-from rtkmesh.codecs.bits import BitWriter, Coding, Layout, sign_magnitude_bits, signed_bits, unsigned_bits
+from rtkmesh.codecs.bits import BitWriter, Coding, Field, Layout, load_words, unsigned_bits, word_bits
 from rtkmesh.codecs.checksums import crc24q
+from rtkmesh.codecs.ephemerides import glonass_ephemeris
 from rtkmesh.codecs.navigation import NavigationData, NavigationDecoder
 from rtkmesh.codecs.navigation_words import (
     D1_MESSAGE,
     D2_MESSAGE,
+    GLONASS_MEANINGS,
     GLONASS_MESSAGE,
     INAV_MESSAGE,
     LNAV_MESSAGE,
@@ -189,14 +191,24 @@ def test_the_crc_of_a_page_is_that_of_its_covered_bits(page: int):
     assert inav_crc(words(page, 256, 32)) == crc24q(covered)
 
 
+@given(data=st.binary(min_size=1, max_size=40), place=st.integers(0, 319), length=st.integers(0, 32))
+@settings(max_examples=80, deadline=None)
+def test_bits_of_words_are_bits_of_the_bytes(data: bytes, place: int, length: int):
+    """At any place, also where the last word is not full, against the bytes as one number."""
+    position = place % (8 * len(data))
+    length = min(length, 8 * len(data) - position)
+    expected = int.from_bytes(data, "big") >> (8 * len(data) - position - length) & (1 << length) - 1
+    assert word_bits(load_words(data), position, length) == unsigned_bits(data, position, length) == expected
+
+
 @given(number=st.integers(-5000, 5000), length=st.integers(2, 14), offset=st.integers(0, 9))
 @settings(max_examples=60, deadline=None)
-def test_bit_kernels_read_what_the_writer_wrote(number: int, length: int, offset: int):
-    """Kernels on bytes and the writer agree in all three codings, at any alignment."""
-    for coding, put, get in (
-        (Coding.UNSIGNED, BitWriter.unsigned, unsigned_bits),
-        (Coding.TWOS_COMPLEMENT, BitWriter.signed, signed_bits),
-        (Coding.SIGN_MAGNITUDE, BitWriter.sign_magnitude, sign_magnitude_bits),
+def test_fields_read_what_the_writer_wrote(number: int, length: int, offset: int):
+    """Layouts on bytes and the writer agree in all three codings, at any alignment."""
+    for coding, put in (
+        (Coding.UNSIGNED, BitWriter.unsigned),
+        (Coding.TWOS_COMPLEMENT, BitWriter.signed),
+        (Coding.SIGN_MAGNITUDE, BitWriter.sign_magnitude),
     ):
         writer = BitWriter()
         writer.unsigned((1 << offset) - 1, offset)
@@ -207,7 +219,8 @@ def test_bit_kernels_read_what_the_writer_wrote(number: int, length: int, offset
             continue
         writer.unsigned(1, 1)
         assert len(writer) == offset + length + 1
-        assert get(np.frombuffer(writer.to_bytes(), np.uint8), offset, length) == number
+        layout = Layout("one field", offset + length + 1, (Field("number", ((offset, length),), 0.5, coding),))
+        assert layout.read_bytes(b"x" + writer.to_bytes(), 1) == {"number": 0.5 * number}
 
 
 @given(data=st.integers(0, (1 << 77) - 1), bit=st.integers(0, 84))
@@ -473,6 +486,42 @@ def test_random_blocks_never_raise(blocks: list[tuple[str, int]]):
     decoder.set_time(replace(NOW, week=1000))
 
 
+@pytest.mark.parametrize("index", [1, 2, 3, 4])
+def test_bits_of_strings_that_mean_nothing_leave_the_ephemeris_as_it_is(index: int):
+    """Each bit that the kernels do not compare, turned alone, gives the same ephemeris but for its time of transmission."""
+    utc = datetime(2024, 6, 24, 8, 20, tzinfo=UTC)
+    strings, now = glonass_strings(utc, 41_400.0, 7), GpsTime.from_utc(utc)
+    expected = glonass_ephemeris(satellite_number("R07"), 5, strings, now)
+    compared = block_of(GLONASS_MEANINGS[index].tolist(), 85, 32)
+    turned = [strings | {index: strings[index] ^ 1 << bit} for bit in range(85) if not compared >> bit & 1]
+    found = [glonass_ephemeris(satellite_number("R07"), 5, some, now) for some in turned]
+    assert expected is not None
+    assert len(found) >= 10
+    assert all(e is not None and replace(e, transmitted=expected.transmitted) == expected for e in found)
+
+
+def test_a_glonass_string_that_means_the_same_is_quiet_until_channel_or_day_may_change():
+    """The flag P3 changes in every frame; another channel, or hours later another day, are looked at."""
+    utc = datetime(2024, 6, 24, 8, 20, tzinfo=UTC)
+    decoder, satellite, strings = Blocks(GpsTime.from_utc(utc)), satellite_number("R07"), glonass_strings(utc, 41_400.0, 7)
+    turned = strings[3] >> 8 ^ 1 << 71  # bit 80
+    turned = turned << 8 | glonass_check_bits(turned)
+
+    def take(string: int, channel: int = 5) -> int:
+        return take_glonass(decoder.satellites, satellite, words(string, 85, 32), channel, 0x10001, *decoder.now)
+
+    assert len(fed(lambda s, block: decoder.glonass(s, 5, block, 0x10001), satellite, strings.values())) == 1
+    assert [take(turned), take(strings[3]), take(turned)] == [QUIET] * 3
+    assert take(strings[3], channel=6) == 3
+    (moved,) = decoder.look(satellite, GLONASS_MESSAGE, 3)
+    assert isinstance(moved, GlonassEphemeris)
+    assert moved.channel == 6
+    assert take(turned, channel=6) == QUIET
+    for _ in range(12):
+        assert decoder.set_time(GpsTime(decoder.now[1], decoder.now[2] + 3500.0)) == []
+    assert take(strings[3], channel=6) == 3
+
+
 def some_blocks() -> list[tuple[str, str, int, int]]:
     """Return blocks of satellites of all messages, of two sets each, as (message, satellite, block, frame of a GLONASS string)."""
     utc, blocks = datetime(2024, 6, 24, 8, 20, tzinfo=UTC), list[tuple[str, str, int, int]]()
@@ -485,6 +534,8 @@ def some_blocks() -> list[tuple[str, str, int, int]]:
         blocks += [("d1", "C21", b, 0) for b in d1_blocks(2350 - BDT_WEEK_OFFSET, 302_400 + late, 304_200.0, health=k).values()]
         blocks += [("d2", "C03", b, 0) for b in d2_pages(302_400 + late)]
         strings = glonass_strings(utc + timedelta(seconds=late), 41_400.0, 7, health=k)
+        strings[3] = (strings[3] >> 8 ^ k << 71) << 8  # P3
+        strings[3] |= glonass_check_bits(strings[3] >> 8)
         blocks += [("glonass", "R07", b, 0x10001 + k) for b in strings.values()]
     return blocks
 

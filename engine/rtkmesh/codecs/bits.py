@@ -38,17 +38,27 @@ def unsigned_bits(buffer: Bytes, position: int, length: int) -> int:
 
 
 @kernel
-def signed_bits(buffer: Bytes, position: int, length: int) -> int:
-    """Return ``length`` (1 to 62) bits from bit ``position`` as a two's complement number."""
-    value = unsigned_bits(buffer, position, length)
-    return value - (1 << length) if value >> (length - 1) else value
+def load_words(data: bytes) -> NDArray[np.int64]:
+    """Return bytes as words of 32 bits, the last byte's word filled up with zeros, and one word of zeros for ``word_bits`` to run into."""
+    whole = len(data) // 4
+    words = np.empty(whole + 2, np.int64)
+    if whole:
+        swapped = np.frombuffer(data[: 4 * whole], np.uint32)
+        for i in range(whole):
+            word = np.int64(swapped[i])
+            words[i] = (word & 0xFF) << 24 | (word & 0xFF00) << 8 | (word >> 8 & 0xFF00) | word >> 24
+    words[whole], words[whole + 1] = 0, 0
+    for at in range(4 * whole, len(data)):
+        words[whole] |= int(data[at]) << 8 * (3 - at % 4)
+    return words
 
 
 @kernel
-def sign_magnitude_bits(buffer: Bytes, position: int, length: int) -> int:
-    """Return ``length`` (2 to 62) bits from bit ``position`` as sign and magnitude (GLONASS)."""
-    magnitude = unsigned_bits(buffer, position + 1, length - 1)
-    return -magnitude if unsigned_bits(buffer, position, 1) else magnitude
+def word_bits(words: NDArray[np.int64], position: int, length: int) -> int:
+    """Return ``length`` (0 to 32) bits from bit ``position`` of words of 32 bits as an unsigned number. The caller checks the bounds."""
+    at = position >> 5
+    pair = words[at] << 32 | words[at + 1]  # its sign is cut off below
+    return pair >> (63 - (position & 31) - length) >> 1 & (1 << length) - 1
 
 
 # One part of a field: its bits, and with the last part of a field how its number is made of all of them.

@@ -36,6 +36,7 @@ from rtkmesh.codecs.navigation_words import (
     set_is_whole,
 )  # fmt: skip
 from rtkmesh.codecs.subframes import D1, D2_EPHEMERIS, D2_PAGE_BITS, GLONASS_STRING, GLONASS_TB_UNIT_S, INAV, LNAV
+from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, KlobucharParameters
 from rtkmesh.gnss.signals import MAX_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
@@ -136,9 +137,7 @@ class NavigationDecoder:
         assert time is not None, "without a time no set of LNAV or GLONASS is whole"
         if message == LNAV_MESSAGE:
             return self._settle(satellite, lnav_ephemeris(satellite, blocks, time))
-        if not self._is_one_set(satellite, blocks, time):
-            return []
-        return self._settle(satellite, glonass_ephemeris(satellite, int(self.satellites[satellite]["channel"]), blocks, time))
+        return self._publish_glonass(satellite, blocks, time) if self._is_one_set(satellite, blocks, time) else []
 
     def _publish_d2(self, satellite: int, blocks: dict[int, int]) -> list[NavigationData]:
         joined = 0
@@ -147,6 +146,13 @@ class NavigationDecoder:
         values = D2_EPHEMERIS.read(joined)
         self._suggest(beidou_time(values))
         return self._publish_ionosphere(satellite, values) + self._settle(satellite, d2_ephemeris(satellite, joined))
+
+    def _publish_glonass(self, satellite: int, strings: dict[int, int], time: GpsTime) -> list[NavigationData]:
+        state = self.satellites[satellite]
+        ephemeris = glonass_ephemeris(satellite, int(state["channel"]), strings, time)
+        state["tried_channel"] = state["channel"]
+        state["toe_s"] = 0.0 if ephemeris is None else ephemeris.toe.week * SECONDS_PER_WEEK + ephemeris.toe.tow_s
+        return self._settle(satellite, ephemeris)
 
     def _settle(self, satellite: int, ephemeris: Ephemeris | None) -> list[NavigationData]:
         """Publish an ephemeris unless it is none, or differs from the last one at most in its time of transmission."""

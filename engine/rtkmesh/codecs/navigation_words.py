@@ -29,6 +29,8 @@ SATELLITE: Final = np.dtype([
     ("held", np.int64),  # bit i: block i came
     ("settled", np.int64),  # 1: these blocks have been tried, and their ephemeris, if any, is published
     ("channel", np.int64),
+    ("tried_channel", np.int64),  # of GLONASS strings that were tried last
+    ("toe_s", np.float64),  # what they gave: its toe since the beginning of GPS time, 0 if nothing
     ("stamps", np.int64, BLOCKS),  # when, or in which frame, a block was sent, and 1; 0: not known
     ("received_week", np.int64, BLOCKS),  # when a GLONASS string came, and 1; 0: not known
     ("received_tow_s", np.float64, BLOCKS),
@@ -36,6 +38,8 @@ SATELLITE: Final = np.dtype([
 ])  # fmt: skip
 Satellites = NDArray[np.void]  # of SATELLITE, by satellite
 Words = NDArray[np.int64]
+
+_SAME_DAY_S: Final = 11 * 3600.0  # beyond 12 h the day is another one
 
 # What comes of a block: its index if somebody must look at it, or one of these.
 QUIET, BAD_PREAMBLE, BAD_CHECKSUM, ALERT, OUT_OF_RANGE = -1, -2, -3, -4, -5
@@ -73,10 +77,10 @@ def block_of(words: list[int], bits: int, word_bits: int) -> int:
     return block >> count * word_bits - bits
 
 
-def _without(layout: Layout, *names: str) -> int:
-    """Return the mask of a block that hides the named fields."""
-    hidden = Layout(layout.name, layout.bits, tuple(f for f in layout.fields if f.name in names))
-    return hidden.write({f.name: (1 << f.length) - 1 for f in hidden.fields}) ^ ((1 << layout.bits) - 1)
+def _mask_of(layout: Layout, *names: str) -> int:
+    """Return the mask of the bits of a block that hold the named fields."""
+    parts = [part for field in layout.fields if field.name in names for part in field.parts]
+    return sum((1 << length) - 1 << layout.bits - first - length for first, length in parts)
 
 
 def _contents() -> NDArray[np.int64]:
@@ -88,16 +92,28 @@ def _contents() -> NDArray[np.int64]:
     contents = np.zeros((5, BLOCKS, WORDS), np.int64)
     contents[LNAV_MESSAGE] = words_of((1 << 240) - 1, 300, 30)
     contents[INAV_MESSAGE, :, :4] = 0xFFFFFFFF
-    contents[INAV_MESSAGE, 5, :4] = words_of(_without(INAV[5], "tow_s"), 128, 32)
+    contents[INAV_MESSAGE, 5, :4] = words_of((1 << 128) - 1 ^ _mask_of(INAV[5], "tow_s"), 128, 32)
     contents[D1_MESSAGE] = words_of(((1 << 258) - 1) & ~(0xFF << 240), 300, 30)
     contents[D2_MESSAGE, :, :5] = contents[D1_MESSAGE, :, :5]
     contents[GLONASS_MESSAGE, :, :3] = 0xFFFFFFFF
-    string1 = _without(GLONASS_STRING[1], "tk_hours", "tk_minutes", "tk_half_minutes") & ~0xFF
-    contents[GLONASS_MESSAGE, 1, :3] = words_of(string1, 85, 32)
+    hidden = _mask_of(GLONASS_STRING[1], "tk_hours", "tk_minutes", "tk_half_minutes") | 0xFF
+    contents[GLONASS_MESSAGE, 1, :3] = words_of((1 << 85) - 1 ^ hidden, 85, 32)
     return contents
 
 
+def _meanings() -> NDArray[np.int64]:
+    """Return the masks of the words of GLONASS strings, by string, that make the ephemeris, but for its time of transmission."""
+    unused = ("string", "p", "p1", "p2", "p3", "p4", "type", "nt_days", "tk_hours", "tk_minutes", "tk_half_minutes")
+    meanings = np.zeros((BLOCKS, WORDS), np.int64)
+    for index in (1, 2, 3, 4):
+        layout = GLONASS_STRING[index]
+        used = [f.name for f in layout.fields if f.name not in unused]
+        meanings[index, :3] = words_of(_mask_of(layout, *used), layout.bits, 32)
+    return meanings
+
+
 _CONTENTS = _contents()
+GLONASS_MEANINGS = _meanings()
 _CHECK_MASKS = np.array([words_of(mask << 8, 85, 32) for mask in GLONASS_CHECK_MASKS], np.int64)
 _EVERY_DATA_BIT = np.array(words_of(((1 << 77) - 1) << 8, 85, 32), np.int64)
 
@@ -265,6 +281,21 @@ def glonass_checks(words: Words) -> int:
 
 
 @kernel
+def gives_the_same(state: np.void, index: int, words: Words, channel: int, clock: int, now_s: float) -> bool:
+    """Return whether a string that comes to the settled blocks of a GLONASS satellite leaves them settled.
+
+    Some bits of strings change in every frame and mean nothing here. The ephemeris is the one of the last trial if the others are the
+    same, and if the day of its toe, which is that nearest to the present time, cannot be another one yet.
+    """
+    if not state["settled"] or clock != GIVEN_CLOCK or state["toe_s"] <= 0.0 or channel != state["tried_channel"]:
+        return False
+    for k in range(3):
+        if (state["words"][index, k] ^ words[k]) & GLONASS_MEANINGS[index, k]:
+            return False
+    return abs(now_s - state["toe_s"]) < _SAME_DAY_S
+
+
+@kernel
 def take_glonass(
     satellites: Satellites, satellite: int, words: Words, channel: int, frame: int, clock: int, week: int, tow_s: float
 ) -> int:
@@ -277,7 +308,11 @@ def take_glonass(
         return QUIET
     if glonass_checks(words) != words[2] >> 11 & 255:
         return BAD_CHECKSUM
-    first, state = keep_block(satellites, satellite, GLONASS_MESSAGE, index, words, frame), satellites[satellite]
+    state = satellites[satellite]
+    settled = gives_the_same(state, index, words, channel, clock, week * SECONDS_PER_WEEK + tow_s)
+    first = keep_block(satellites, satellite, GLONASS_MESSAGE, index, words, frame)
+    if settled:
+        state["settled"] = 1
     state["channel"] = channel
     state["received_week"][index], state["received_tow_s"][index] = week + 1 if clock == GIVEN_CLOCK else 0, tow_s
     if index == 1 and frame == 0:  # a new frame begins: what is left of others must not complete it

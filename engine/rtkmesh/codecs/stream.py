@@ -22,7 +22,7 @@ from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Me
 from rtkmesh.codecs.nmea import NmeaDecoder
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.ubx import SFRBX, UbxDecoder
-from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix
+from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix
 from rtkmesh.gnss.epoch import SLIP, Epoch
 from rtkmesh.gnss.time import GpsTime
 
@@ -121,7 +121,7 @@ class StreamDecoder:
         options = options or StreamOptions()
         self._framer = Framer(options.protocols)
         self._ubx = UbxDecoder(options.approximate_time)
-        self._rtcm3 = Rtcm3Decoder(options.approximate_time)
+        self._rtcm3 = Rtcm3Decoder(options.approximate_time, self._is_published)
         self._nmea = NmeaDecoder(options.approximate_time)
         self._timeline = Timeline(ObservationSource(options.observations))
         self._told: GpsTime | None = None
@@ -228,15 +228,24 @@ class StreamDecoder:
         self._latest[key] = message
         return True
 
-    def _is_new_ephemeris(self, e: KeplerEphemeris | GlonassEphemeris) -> bool:
-        if isinstance(e, GlonassEphemeris):
-            key, identity = (e.satellite, 0), (e.iode, e.toe, e.health, e.tau_s, e.channel)
-        else:
-            key, identity = (e.satellite, int(e.message)), (e.iode, e.iodc, e.toe, e.toc, e.health, e.af0_s)
+    def _is_new_ephemeris(self, e: Ephemeris) -> bool:
+        key, identity = _identity(e)
         if self._published.get(key) == identity:
             return False
         self._published[key] = identity
         return True
+
+    def _is_published(self, e: Ephemeris) -> bool:
+        """Return whether the ephemeris that was passed on last for its satellite and message is this one."""
+        key, identity = _identity(e)
+        return self._published.get(key) == identity
+
+
+def _identity(e: Ephemeris) -> tuple[tuple[int, int], tuple[object, ...]]:
+    """Return what an ephemeris replaces (satellite and message), and what tells it from others."""
+    if isinstance(e, GlonassEphemeris):
+        return (e.satellite, 0), (e.iode, e.toe, e.health, e.tau_s, e.channel)
+    return (e.satellite, int(e.message)), (e.iode, e.iodc, e.toe, e.toc, e.health, e.af0_s)
 
 
 def _with_all_slipped(epoch: Epoch) -> Epoch:

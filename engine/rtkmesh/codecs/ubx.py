@@ -91,7 +91,7 @@ class UbxDecoder:
         if not (isfinite(tow_s) and -1.0 < tow_s < SECONDS_PER_WEEK + 1.0) or week == 0:
             return "time"
         time = GpsTime(week, tow_s) if 0.0 <= tow_s < SECONDS_PER_WEEK else GpsTime.normalized(week, tow_s)
-        rows = np.frombuffer(data[_ROWS : _ROWS + ROW_BYTES * total], np.int64)
+        measurements = data[_ROWS : _ROWS + ROW_BYTES * total]
         ids, channel, flags, columns = (
             np.empty((2, total), np.int16),
             np.empty(total, np.int8),
@@ -99,7 +99,7 @@ class UbxDecoder:
             np.empty((7, total)),
         )
         now_s = time.week * SECONDS_PER_WEEK + time.tow_s
-        count = rawx_columns(rows, version, now_s, self._slip_state, ids, channel, flags, columns)
+        count = rawx_columns(measurements, version, now_s, self._slip_state, ids, channel, flags, columns)
         if count < total:
             self.counters.rejected["ubx/02-15 unknown signal"] += total - count
             ids, channel, flags, columns = ids[:, :count], channel[:count], flags[:count], columns[:, :count]

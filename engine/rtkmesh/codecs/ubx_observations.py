@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.codecs.observation_rows import key_parts, row_key, sort_keys
 from rtkmesh.codecs.ubx_signals import GNSS_IDS, SATELLITE_OF, SIG_IDS, SIGNAL_OF, SV_IDS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP
-from rtkmesh.gnss.signals import MAX_SATELLITE, NO_CHANNEL
+from rtkmesh.gnss.signals import NO_CHANNEL
 
 ROW_BYTES: Final = 32
 _GLONASS_ID: Final = 6
@@ -40,55 +41,40 @@ def new_slip_state() -> NDArray[np.float64]:
 
 
 @kernel
-def rawx_order(octets: NDArray[np.uint8], version: int, order: NDArray[np.int64]) -> int:
-    """Fill ``order`` with (satellite * 512 + signal) * 256 + row number of known signals, rising, each signal once; return how many."""
-    rows, unsorted, place = len(order), np.empty(len(order), np.int64), np.zeros(MAX_SATELLITE, np.int64)
-    for i in range(rows):
-        gnss, sv, sig = int(octets[32 * i + 20]), int(octets[32 * i + 21]), int(octets[32 * i + 22]) if version > 0 else 0
-        known = gnss < GNSS_IDS and sig < SIG_IDS and SATELLITE_OF[gnss, sv] > 0 and SIGNAL_OF[gnss, sig] > 0
-        unsorted[i] = (int(SATELLITE_OF[gnss, sv]) * 512 + int(SIGNAL_OF[gnss, sig])) << 8 | i if known else -1
-        if known:
-            place[SATELLITE_OF[gnss, sv]] += 1
-    before = 0
-    for satellite in range(MAX_SATELLITE):
-        before, place[satellite] = before + place[satellite], before
-    for key in unsorted:
-        if key >= 0:
-            order[place[key >> 17]] = key
-            place[key >> 17] += 1
+def rawx_keys(octets: NDArray[np.uint8], version: int, keys: NDArray[np.int64]) -> int:
+    """Write the keys of the measurements whose satellite and signal are known; return how many."""
     count = 0
-    for i in range(before):  # insertion, of which there is nothing left to do but among the signals of one satellite
-        key, k = order[i], count
-        while k > 0 and order[k - 1] >> 8 > key >> 8:
-            order[k] = order[k - 1]
-            k -= 1
-        if k > 0 and order[k - 1] >> 8 == key >> 8:
-            for j in range(k, count):
-                order[j] = order[j + 1]
-            continue
-        order[k] = key
-        count += 1
+    for i in range(len(keys)):
+        at = ROW_BYTES * i
+        gnss, sv, sig = int(octets[at + 20]), int(octets[at + 21]), int(octets[at + 22]) if version > 0 else 0
+        if gnss < GNSS_IDS and sig < SIG_IDS and SATELLITE_OF[gnss, sv] > 0 and SIGNAL_OF[gnss, sig] > 0:
+            keys[count] = row_key(int(SATELLITE_OF[gnss, sv]), int(SIGNAL_OF[gnss, sig]), 0, i)
+            count += 1
     return count
 
 
 @kernel
 def rawx_columns(
-    rows: NDArray[np.int64], version: int, time_s: float, state: NDArray[np.float64],
+    measurements: bytes, version: int, time_s: float, state: NDArray[np.float64],
     ids: NDArray[np.int16], channel: NDArray[np.int8], flags: NDArray[np.uint8], columns: NDArray[np.float64],
 ) -> int:  # fmt: skip
     """Write the columns of an epoch, sorted by (satellite, signal); return the number of rows.
 
-    ``rows`` are the measurements (four words of 8 bytes each, at most 255), ``state`` is that of ``rawx_slip`` by gnssId, svId, sigId.
-    Rows of a satellite or signal that is not known, or that is there already, are dropped. Out, as long as there are measurements: ``ids``
+    ``state`` is that of ``rawx_slip`` by gnssId, svId, sigId. Measurements of a satellite or signal that is not known, or that is there
+    already, are dropped. Out, as long as there are measurements: ``ids``
     (satellite, signal), ``channel``, ``flags``, and ``columns``: pseudorange, phase, Doppler, C/N0, lock time, sigma of pseudorange, of
     phase.
     """
-    octets, doubles, singles = rows.view(np.uint8), rows.view(np.float64), rows.view(np.float32)
-    order = np.empty(len(rows) // 4, np.int64)
-    count = rawx_order(octets, version, order)
+    if len(measurements) == 0:
+        return 0
+    octets, doubles, singles = (
+        np.frombuffer(measurements, np.uint8), np.frombuffer(measurements, np.float64), np.frombuffer(measurements, np.float32)
+    )  # fmt: skip
+    keys = np.empty(len(measurements) // ROW_BYTES, np.int64)
+    count = sort_keys(keys[: rawx_keys(octets, version, keys)])
     for k in range(count):
-        ids[0, k], ids[1, k] = order[k] >> 17, order[k] >> 8 & 511
-        at = ROW_BYTES * (order[k] & 255)
+        ids[0, k], ids[1, k], row = key_parts(keys[k])
+        at = ROW_BYTES * row
         gnss, sv, sig, freq = int(octets[at + 20]), int(octets[at + 21]), int(octets[at + 22]) if version > 0 else 0, int(octets[at + 23])
         channel[k] = freq - 7 if gnss == _GLONASS_ID and freq <= 20 else NO_CHANNEL
         lock_ms, track = int(octets[at + 24]) | int(octets[at + 25]) << 8, int(octets[at + 30])
