@@ -4,7 +4,16 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtkmesh.codecs.observation_rows import MAX_MESSAGE_ROWS, Rows, key_parts, row_key, sort_keys
+from rtkmesh.codecs.observation_rows import (
+    MAX_MESSAGE_ROWS,
+    PRIORITY_SHIFT,
+    ROW_MASK,
+    SATELLITE_SHIFT,
+    SIGNAL_MASK,
+    SIGNAL_SHIFT,
+    Rows,
+    sort_keys,
+)
 
 SIGNALS = st.tuples(st.integers(1, 447), st.sampled_from([28, 44, 63, 130]), st.integers(0, 1))
 
@@ -16,12 +25,15 @@ SIGNALS = st.tuples(st.integers(1, 447), st.sampled_from([28, 44, 63, 130]), st.
 def test_rows_come_in_the_order_of_satellite_and_signal_each_once(signals: list[tuple[int, int, int]], in_order: bool):
     """Against a plain sort: of equal signals the lower priority stays, then the one that came first."""
     signals = sorted(signals) if in_order else signals
-    keys = np.array([row_key(*signal, row) for row, signal in enumerate(signals)], np.int64)
+    keys = np.array(
+        [s << SATELLITE_SHIFT | g << SIGNAL_SHIFT | p << PRIORITY_SHIFT | row for row, (s, g, p) in enumerate(signals)], np.int64
+    )
     kept: dict[tuple[int, int], int] = {}
     for satellite, signal, _, row in sorted((*signal, row) for row, signal in enumerate(signals)):
         kept.setdefault((satellite, signal), row)
     count = sort_keys(keys)
-    assert [key_parts(key) for key in keys[:count].tolist()] == [(*signal, row) for signal, row in kept.items()]
+    found = [(key >> SATELLITE_SHIFT, key >> SIGNAL_SHIFT & SIGNAL_MASK, key & ROW_MASK) for key in keys[:count].tolist()]
+    assert found == [(*signal, row) for signal, row in kept.items()]
 
 
 @given(

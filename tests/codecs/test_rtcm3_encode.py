@@ -174,13 +174,13 @@ TABLE_3_5_75 = (
 @pytest.mark.parametrize(("indicator", "seconds"), TABLE_3_5_75)
 def test_lock_time_follows_the_table(indicator: int, seconds: float):
     """DF407, RTCM 10403.3 table 3.5-75."""
-    assert lock_time_s(indicator, True) == pytest.approx(seconds, abs=1e-9)
+    assert lock_time_s(indicator, extended=True) == pytest.approx(seconds, abs=1e-9)
 
 
 def test_short_lock_times_are_powers_of_two():
     """DF402: 0, then 32 ms doubled up to 524.288 s; reserved DF407 values have no meaning."""
-    assert [lock_time_s(i, False) for i in (0, 1, 2, 15)] == pytest.approx([0.0, 0.032, 0.064, 524.288])
-    assert np.isnan(lock_time_s(705, True))
+    assert [lock_time_s(i, extended=False) for i in (0, 1, 2, 15)] == pytest.approx([0.0, 0.032, 0.064, 524.288])
+    assert np.isnan(lock_time_s(705, extended=True))
 
 
 @settings(max_examples=60, deadline=None)

@@ -11,30 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, SISA_M, URA_M, accuracy_index, accuracy_m
-from rtkmesh.codecs.bits import BitWriter, Coding, Field, Layout, load_words, unsigned_bits, word_bits
+from rtkmesh.codecs.bits import BitWriter, Coding, Field, Layout, load_words, word_bits
 from rtkmesh.codecs.checksums import crc24q
 from rtkmesh.codecs.ephemerides import glonass_ephemeris
 from rtkmesh.codecs.navigation import NavigationData, NavigationDecoder
-from rtkmesh.codecs.navigation_words import (
-    D1_MESSAGE,
-    D2_MESSAGE,
-    GLONASS_MEANINGS,
-    GLONASS_MESSAGE,
-    INAV_MESSAGE,
-    LNAV_MESSAGE,
-    QUIET,
-    REFUSALS,
-    Refusal,
-    block_of,
-    glonass_checks,
-    inav_crc,
-    take_d1,
-    take_d2,
-    take_glonass,
-    take_inav,
-    take_lnav,
-    words_of,
-)
+from rtkmesh.codecs.navigation_words import GLONASS_MESSAGE, MEANINGS, QUIET, REFUSALS, Refusal, block_of, words_of
 from rtkmesh.codecs.subframes import (
     BEIDOU_PREAMBLE,
     D1,
@@ -48,6 +29,8 @@ from rtkmesh.codecs.subframes import (
     LNAV_PREAMBLE,
     glonass_check_bits,
 )  # fmt: skip
+from rtkmesh.codecs.ubx_encode import encode_sfrbx
+from rtkmesh.codecs.ubx_subframes import take_subframes
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, PI_GPS
 from rtkmesh.gnss.ephemeris import GlonassEphemeris, KeplerEphemeris, KlobucharParameters, NavigationMessage
 from rtkmesh.gnss.signals import satellite_number
@@ -70,35 +53,24 @@ Taken = list[NavigationData] | Refusal
 
 
 class Blocks(NavigationDecoder):
-    """The decoder with whole blocks as its input: the kernels take them, what they do not find quiet is looked at."""
+    """The decoder with whole blocks as its input: they go as messages to the kernels, what these do not find quiet is looked at."""
 
     def lnav(self, satellite: int, block: int) -> Taken:
-        return self.outcome(satellite, LNAV_MESSAGE, take_lnav(self.satellites, satellite, words(block, 300, 30), self.now[0]))
+        return self.take(satellite, words_of(block, 300, 30))
+
+    d1 = d2 = lnav  # which of the three it is the satellite says
 
     def inav(self, satellite: int, page: int) -> Taken:
-        return self.outcome(satellite, INAV_MESSAGE, take_inav(self.satellites, satellite, words(page, 256, 32), self.now[0]))
-
-    def d1(self, satellite: int, block: int) -> Taken:
-        return self.outcome(satellite, D1_MESSAGE, take_d1(self.satellites, satellite, words(block, 300, 30), self.now[0]))
-
-    def d2(self, satellite: int, block: int) -> Taken:
-        return self.outcome(satellite, D2_MESSAGE, take_d2(self.satellites, satellite, words(block, 300, 30), self.now[0]))
+        return self.take(satellite, words_of(page, 256, 32))
 
     def glonass(self, satellite: int, channel: int, string: int, frame: int) -> Taken:
-        result = take_glonass(self.satellites, satellite, words(string, 85, 32), channel, frame, *self.now)
-        return self.outcome(satellite, GLONASS_MESSAGE, result)
+        return self.take(satellite, [*words_of(string, 85, 32), frame], channel)
 
-    def outcome(self, satellite: int, message: int, result: int) -> Taken:
+    def take(self, satellite: int, words: list[int], channel: int = 0) -> Taken:
+        *_, message, result = take_subframes(encode_sfrbx(satellite, words, channel), 0, self.satellites, *self.now)
         if result < QUIET:
             return REFUSALS[result]
         return [] if result == QUIET else self.look(satellite, message, result)
-
-
-def words(block: int, bits: int, word_bits: int) -> np.ndarray:
-    full = np.zeros(10, np.int64)
-    filled = words_of(block, bits, word_bits)
-    full[: len(filled)] = filled
-    return full
 
 
 def lnav_blocks(satellite_week: int, tow_s: float, toe_s: float, iode: int = 77, health: int = 0, **changes: float) -> dict[int, int]:
@@ -183,14 +155,6 @@ def test_a_block_is_its_words_joined(block: int, bits: int, word_bits: int):
     assert block_of([*parts, 12345], bits, word_bits) == block
 
 
-@given(page=st.integers(0, (1 << 256) - 1))
-@settings(max_examples=60, deadline=None)
-def test_the_crc_of_a_page_is_that_of_its_covered_bits(page: int):
-    """The kernel goes through the words as they come, the reference through the 196 bits, filled up in front with zeros."""
-    covered = INAV_PAGE.unsigned(page, "covered").to_bytes(25, "big")
-    assert inav_crc(words(page, 256, 32)) == crc24q(covered)
-
-
 @given(data=st.binary(min_size=1, max_size=40), place=st.integers(0, 319), length=st.integers(0, 32))
 @settings(max_examples=80, deadline=None)
 def test_bits_of_words_are_bits_of_the_bytes(data: bytes, place: int, length: int):
@@ -198,7 +162,7 @@ def test_bits_of_words_are_bits_of_the_bytes(data: bytes, place: int, length: in
     position = place % (8 * len(data))
     length = min(length, 8 * len(data) - position)
     expected = int.from_bytes(data, "big") >> (8 * len(data) - position - length) & (1 << length) - 1
-    assert word_bits(load_words(data), position, length) == unsigned_bits(data, position, length) == expected
+    assert word_bits(load_words(data), position, length) == expected
 
 
 @given(number=st.integers(-5000, 5000), length=st.integers(2, 14), offset=st.integers(0, 9))
@@ -226,12 +190,15 @@ def test_fields_read_what_the_writer_wrote(number: int, length: int, offset: int
 @given(data=st.integers(0, (1 << 77) - 1), bit=st.integers(0, 84))
 @settings(max_examples=60, deadline=None)
 def test_glonass_check_bits_detect_any_single_error(data: int, bit: int):
-    """The Hamming code of a string changes with each of its 85 bits."""
+    """The Hamming code of a string changes with each of its 85 bits, and the decoder refuses what it does not fit."""
     string = data << 8 | glonass_check_bits(data)
     damaged = string ^ 1 << bit
-    assert glonass_checks(words(string, 85, 32)) == string & 0xFF
-    assert glonass_checks(words(damaged, 85, 32)) == glonass_check_bits(damaged >> 8)
     assert glonass_check_bits(damaged >> 8) != damaged & 0xFF
+    decoder = Blocks(NOW)
+    of_use = [1 <= block >> 80 & 15 <= 5 for block in (string, damaged)]
+    assert decoder.glonass(71, 0, string, 1) == []
+    assert decoder.glonass(71, 0, damaged, 1) == (Refusal.CHECKSUM if of_use[1] else [])
+    assert decoder.satellites[71]["held"] == (1 << (string >> 80 & 15) if of_use[0] else 0)
 
 
 @pytest.mark.parametrize("table", [URA_M, SISA_M, GLONASS_FT_M])
@@ -306,9 +273,9 @@ def test_values_that_no_satellite_has_are_refused():
     assert fed(decoder.lnav, 5, lnav_blocks(2350, 302_400.0, 604_800.0 + 4000.0).values()) == []
     assert len(fed(decoder.lnav, 5, lnav_blocks(2350, 302_400.0, 309_600.0).values())) == 1
     assert decoder.lnav(5, 0) is Refusal.PREAMBLE
-    assert decoder.d1(5, 0) is Refusal.PREAMBLE
-    assert decoder.d2(5, 0) is Refusal.PREAMBLE
-    assert decoder.inav(5, 0) is Refusal.PREAMBLE
+    assert decoder.d1(satellite_number("C21"), 0) is Refusal.PREAMBLE
+    assert decoder.d2(satellite_number("C03"), 0) is Refusal.PREAMBLE
+    assert decoder.inav(satellite_number("E11"), 0) is Refusal.PREAMBLE
     assert decoder.glonass(65, 0, 1 << 80, 0) is Refusal.CHECKSUM
 
 
@@ -346,6 +313,18 @@ def test_inav_words_become_an_ephemeris():
     assert (e.health, e.accuracy_m, e.fit_s) == (1 | 1 << 7, pytest.approx(3.12), 14400.0)
     assert e.group_delay_s == (pytest.approx(2e-9, abs=2e-10), pytest.approx(-1e-9, abs=2e-10))
     assert decoder.time == GpsTime(2350, 302_450.0)
+
+
+@given(data=st.integers(0, (1 << 112) - 1), rest=st.integers(0, (1 << 16) - 1), word=st.integers(0, 5), bit=st.integers(0, 255))
+@settings(max_examples=60, deadline=None)
+def test_any_wrong_bit_of_a_page_is_refused(data: int, rest: int, word: int, bit: int):
+    """Of the 220 bits of a page that mean something; the padding may be anything. Damage that makes it a word of no use gives nothing."""
+    page = inav_page(word << 122 | (data << 16 | rest) % (1 << 122))
+    assert isinstance(Blocks(NOW).inav(133, page), list)
+    damaged = page ^ 1 << 255 - bit
+    meant = bit < 114 or 128 <= bit < 234
+    of_use = INAV_PAGE.unsigned(damaged, "data") >> 122 <= 5
+    assert isinstance(Blocks(NOW).inav(133, damaged), Refusal) == (meant and (of_use or bit in (0, 1, 128, 129)))
 
 
 def test_inav_pages_that_are_damaged_or_not_theirs_are_refused():
@@ -492,7 +471,7 @@ def test_bits_of_strings_that_mean_nothing_leave_the_ephemeris_as_it_is(index: i
     utc = datetime(2024, 6, 24, 8, 20, tzinfo=UTC)
     strings, now = glonass_strings(utc, 41_400.0, 7), GpsTime.from_utc(utc)
     expected = glonass_ephemeris(satellite_number("R07"), 5, strings, now)
-    compared = block_of(GLONASS_MEANINGS[index].tolist(), 85, 32)
+    compared = block_of(MEANINGS[GLONASS_MESSAGE, index].tolist(), 85, 32)
     turned = [strings | {index: strings[index] ^ 1 << bit} for bit in range(85) if not compared >> bit & 1]
     found = [glonass_ephemeris(satellite_number("R07"), 5, some, now) for some in turned]
     assert expected is not None
@@ -508,7 +487,8 @@ def test_a_glonass_string_that_means_the_same_is_quiet_until_channel_or_day_may_
     turned = turned << 8 | glonass_check_bits(turned)
 
     def take(string: int, channel: int = 5) -> int:
-        return take_glonass(decoder.satellites, satellite, words(string, 85, 32), channel, 0x10001, *decoder.now)
+        message = encode_sfrbx(satellite, [*words_of(string, 85, 32), 0x10001], channel)
+        return take_subframes(message, 0, decoder.satellites, *decoder.now)[-1]
 
     assert len(fed(lambda s, block: decoder.glonass(s, 5, block, 0x10001), satellite, strings.values())) == 1
     assert [take(turned), take(strings[3]), take(turned)] == [QUIET] * 3

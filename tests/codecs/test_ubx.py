@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from rtkmesh.codecs.messages import Frame, Message, Protocol
 from rtkmesh.codecs.ubx import NAV_PVT, RAWX, SFRBX, UbxDecoder
 from rtkmesh.codecs.ubx_encode import encode_ephemeris
-from rtkmesh.gnss.ephemeris import ReceiverFix
+from rtkmesh.gnss.ephemeris import GlonassEphemeris, KeplerEphemeris, ReceiverFix
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch
-from rtkmesh.gnss.signals import NO_CHANNEL
+from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.sky import SATELLITES, broadcast
 
@@ -229,6 +229,25 @@ def test_navigation_blocks_may_be_decoded_in_runs_of_any_length(cuts: list[int],
     assert (runs.counters, runs.time) == (single.counters, single.time)
     assert sum(len(found) for found in expected) > 10
     assert single.counters.rejected.keys() == {f"ubx/02-13 {reason}" for reason in ("satellite", "preamble", "length")}
+
+
+@pytest.mark.parametrize(
+    ("satellite", "offset", "value", "found"),
+    [
+        ("R07", 2, 2, True), ("R07", 2, 200, True), ("R07", 3, 20, True), ("R07", 3, 21, False), ("R07", 4, 3, False),
+        ("G05", 3, 99, True), ("G05", 2, 3, False), ("G05", 2, 200, False), ("G05", 4, 9, False), ("E11", 2, 5, True), ("E11", 2, 3, False),
+        ("E11", 4, 8, True), ("E11", 4, 7, False), ("C21", 2, 2, True), ("C21", 2, 1, False),
+    ],
+)  # fmt: skip
+def test_only_signals_with_ephemerides_of_ours_are_read(satellite: str, offset: int, value: int, found: bool):
+    """sigId (2), freqId (3) and number of words (4) of all messages of one satellite changed to a value."""
+    messages = [bytearray(data) for data in encode_ephemeris(broadcast(satellite_number(satellite), SENT), SENT)]
+    decoder = UbxDecoder(SENT)
+    for message in messages:
+        message[6 + offset] = value
+    given = [one for message in messages for one in decoder.decode(Frame(Protocol.UBX, SFRBX, bytes(message)))]
+    assert any(isinstance(one, KeplerEphemeris | GlonassEphemeris) for one in given) == found
+    assert not decoder.counters.rejected
 
 
 def test_a_run_that_is_cut_short_is_refused_where_it_ends():

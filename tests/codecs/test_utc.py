@@ -1,12 +1,12 @@
 """Leap seconds, years and Moscow hours that are remembered by the hour are those of the calendar."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtkmesh.codecs.utc import leap_seconds_of, moscow_hour, utc_year
+from rtkmesh.codecs.utc import from_utc, gps_day, leap_seconds_of, microseconds, moscow_hour, utc_year
 from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s
 
 
@@ -30,3 +30,20 @@ def test_the_seconds_around_midnights_with_and_without_a_leap_second(year: int, 
         for step in range(-60, 61):
             for offset_s in (0.0, 1e-7, -1e-7, 4e-10, -4e-10):
                 check(turn + (3600.0 * hours + 0.5 * step + offset_s))
+
+
+SECONDS_OF_DAY = st.one_of(
+    st.floats(0.0, 86_461.0),
+    st.integers(0, 86_460_000).map(lambda n: n / 1e3),
+    st.integers(0, 172_800).map(lambda n: n / 2 + 5e-7),  # halves of a microsecond
+)
+
+
+@given(day=st.dates(date(1979, 1, 1), date(2070, 1, 1)), second_s=SECONDS_OF_DAY)
+@settings(max_examples=200, deadline=None)
+def test_times_of_day_are_those_of_the_standard_library(day: date, second_s: float):
+    """Days, microseconds and GPS times against datetime, leap seconds at the end of the day included."""
+    utc = datetime(day.year, day.month, day.day, tzinfo=UTC) + timedelta(seconds=second_s)
+    days, time_of_day_us = divmod(microseconds(second_s), 86_400_000_000)
+    assert timedelta(days=days, microseconds=time_of_day_us) == timedelta(seconds=second_s)
+    assert from_utc(gps_day(day.year, day.month, day.day) + days, time_of_day_us) == GpsTime.from_utc(utc)

@@ -18,23 +18,7 @@ Bytes = bytes | NDArray[np.uint8]
 
 
 _MAX_LENGTH: Final = 62  # bits of a number that kernels read
-
-
-@kernel
-def unsigned_bits(buffer: Bytes, position: int, length: int) -> int:
-    """Return ``length`` (0 to 62) bits from bit ``position`` as an unsigned number. The caller checks the bounds."""
-    value = 0
-    byte = position >> 3
-    offset = position & 7
-    left = length
-    while left > 0:
-        take = min(8 - offset, left)
-        chunk = (int(buffer[byte]) >> (8 - offset - take)) & ((1 << take) - 1)
-        value = (value << take) | chunk
-        left -= take
-        offset = 0
-        byte += 1
-    return value
+_WORD_BITS: Final = 32
 
 
 @kernel
@@ -42,11 +26,9 @@ def load_words(data: bytes) -> NDArray[np.int64]:
     """Return bytes as words of 32 bits, the last byte's word filled up with zeros, and one word of zeros for ``word_bits`` to run into."""
     whole = len(data) // 4
     words = np.empty(whole + 2, np.int64)
-    if whole:
-        swapped = np.frombuffer(data[: 4 * whole], np.uint32)
-        for i in range(whole):
-            word = np.int64(swapped[i])
-            words[i] = (word & 0xFF) << 24 | (word & 0xFF00) << 8 | (word >> 8 & 0xFF00) | word >> 24
+    for i in range(whole):
+        at = 4 * i
+        words[i] = int(data[at]) << 24 | int(data[at + 1]) << 16 | int(data[at + 2]) << 8 | int(data[at + 3])
     words[whole], words[whole + 1] = 0, 0
     for at in range(4 * whole, len(data)):
         words[whole] |= int(data[at]) << 8 * (3 - at % 4)
@@ -70,10 +52,10 @@ _PART = np.dtype(
 @kernel
 def read_fields(data: bytes, start: int, parts: NDArray[np.void], values: NDArray[np.float64]) -> None:
     """Write the scaled numbers of the fields of a block that begins at byte ``start``; ``parts`` are those of ``_PART``."""
-    code, field = 0, 0
+    words, code, field = load_words(data), 0, 0
     for i in range(len(parts)):
         part = parts[i]
-        code = code << part["length"] | unsigned_bits(data, 8 * start + part["first"], part["length"])
+        code = code << part["length"] | word_bits(words, 8 * start + part["first"], part["length"])
         if part["last"]:
             if code & part["sign"]:
                 code = code - 2 * part["sign"] if part["twos"] else part["sign"] - code
@@ -159,8 +141,14 @@ def _part_table(fields: tuple[Field, ...]) -> NDArray[np.void]:
     for field in fields:
         sign = 0 if field.coding is Coding.UNSIGNED else 1 << (field.length - 1)
         twos = int(field.coding is Coding.TWOS_COMPLEMENT)
-        rows += [(first, length, int(k == len(field.parts) - 1), sign, twos, field.scale) for k, (first, length) in enumerate(field.parts)]
+        pieces = [piece for first, length in field.parts for piece in _pieces(first, length)]
+        rows += [(first, length, int(k == len(pieces) - 1), sign, twos, field.scale) for k, (first, length) in enumerate(pieces)]
     return np.array(rows, _PART)
+
+
+def _pieces(first: int, length: int) -> list[tuple[int, int]]:
+    """Return a part cut into pieces that ``word_bits`` can read."""
+    return [(at, min(_WORD_BITS, first + length - at)) for at in range(first, first + length, _WORD_BITS)]
 
 
 class Layout:

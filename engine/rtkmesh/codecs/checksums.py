@@ -29,13 +29,7 @@ def _crc24q_tables() -> NDArray[np.int64]:
     return tables
 
 
-_CRC24Q = _crc24q_tables()
-
-
-@kernel
-def crc24q_step(crc: int, value: int, bits: int) -> int:
-    """Return the CRC-24Q ``crc`` after ``bits`` (1 to 8) further bits."""
-    return ((crc << bits) & 0xFFFFFF) ^ int(_CRC24Q[0, (crc >> (24 - bits)) ^ value])
+CRC24Q = _crc24q_tables()
 
 
 @kernel
@@ -46,10 +40,10 @@ def crc24q_range(data: Bytes, start: int, end: int) -> int:
         crc ^= int(part[i]) << 16 | int(part[i + 1]) << 8 | int(part[i + 2])
         following = 0
         for k in range(3, _STRIDE):
-            following ^= int(_CRC24Q[_STRIDE - 1 - k, part[i + k]])
-        crc = int(_CRC24Q[7, crc >> 16]) ^ int(_CRC24Q[6, crc >> 8 & 255]) ^ int(_CRC24Q[5, crc & 255]) ^ following
+            following ^= int(CRC24Q[_STRIDE - 1 - k, part[i + k]])
+        crc = int(CRC24Q[7, crc >> 16]) ^ int(CRC24Q[6, crc >> 8 & 255]) ^ int(CRC24Q[5, crc & 255]) ^ following
     for i in range(whole, len(part)):
-        crc = crc24q_step(crc, int(part[i]), 8)
+        crc = ((crc << 8) & 0xFFFFFF) ^ int(CRC24Q[0, (crc >> 16) ^ int(part[i])])
     return crc
 
 
@@ -74,12 +68,3 @@ def fletcher16_range(data: Bytes, start: int, end: int) -> int:
 def fletcher16(data: Bytes) -> int:
     """Return the UBX checksum (CK_A + 256 CK_B) of all bytes (class to end of payload)."""
     return int(fletcher16_range(data, 0, len(data)))
-
-
-@kernel
-def xor8_range(data: Bytes, start: int, end: int) -> int:
-    """Return the exclusive or of ``data[start:end]`` (NMEA 0183 5.2.2)."""
-    value = 0
-    for i in range(start, end):
-        value ^= int(data[i])
-    return value

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.codecs.checksums import crc24q_range, fletcher16_range, xor8_range
+from rtkmesh.codecs.checksums import crc24q_range, fletcher16_range
 from rtkmesh.codecs.messages import Frame, FramingCounters, Protocol
 
 FRAMED: Final = (Protocol.UBX, Protocol.RTCM3, Protocol.NMEA)  # the order is the kernels' numbering
@@ -69,16 +69,15 @@ def rtcm3_candidate(data: bytes, start: int, end: int) -> int:
     return stop - start if crc24q_range(data, start, stop - 3) == sent else _BAD_CHECKSUM
 
 
-@kernel
-def hex_digit(character: int) -> int:
-    """Return the value of an ASCII hexadecimal digit, or -1."""
-    if 48 <= character <= 57:
-        return character - 48
-    if 65 <= character <= 70:
-        return character - 55
-    if 97 <= character <= 102:
-        return character - 87
-    return -1
+def _hex_table() -> NDArray[np.int64]:
+    """Return the values of hexadecimal digits by ASCII character, 256 where there is none."""
+    table = np.full(256, 256, np.int64)
+    for value, character in enumerate("0123456789ABCDEF"):
+        table[ord(character)] = table[ord(character.lower())] = value
+    return table
+
+
+_HEX = _hex_table()
 
 
 @kernel
@@ -87,39 +86,28 @@ def nmea_candidate(data: bytes, start: int, end: int) -> int:
 
     ``$...*hh`` and CR LF (a lone LF is accepted), printable ASCII, checksum obligatory.
     """
-    star = start + 1
+    star, check = start + 1, 0
     while True:
         if star >= start + NMEA_MAX_LENGTH:
             return _NO_FRAME
         if star >= end:
             return _NEEDS_MORE
-        if data[star] == 42:
+        character = int(data[star])
+        if character == 42:
             break
-        if data[star] < 32 or data[star] > 126 or data[star] == 36:
+        if character < 32 or character > 126 or character == 36:
             return _NO_FRAME
+        check ^= character  # NMEA 0183 5.2.2
         star += 1
     stop = star + 3
     if end > stop and data[stop] == 13:
         stop += 1
     if end <= stop:
         return _NEEDS_MORE
-    high, low = hex_digit(int(data[star + 1])), hex_digit(int(data[star + 2]))
-    if data[stop] != 10 or high < 0 or low < 0:
+    high, low = int(_HEX[data[star + 1]]), int(_HEX[data[star + 2]])
+    if data[stop] != 10 or high > 15 or low > 15:
         return _NO_FRAME
-    return stop + 1 - start if xor8_range(data, start + 1, star) == high * 16 + low else _BAD_CHECKSUM
-
-
-@kernel
-def frame_key(data: bytes, start: int, end: int, protocol: int) -> int:
-    """Return what tells the kind of a frame: UBX class * 256 + id, RTCM 3 number behind those, NMEA minus the end of its address."""
-    if protocol == _UBX:
-        return int(data[start + 2]) << 8 | int(data[start + 3])
-    if protocol == _RTCM3:
-        return _RTCM3_KEYS + (int(data[start + 3]) << 4 | int(data[start + 4]) >> 4 if end - start > RTCM3_OVERHEAD + 1 else 0)
-    stop = start
-    while data[stop] != 44 and data[stop] != 42:
-        stop += 1
-    return -stop
+    return stop + 1 - start if check == high * 16 + low else _BAD_CHECKSUM
 
 
 @kernel
@@ -128,23 +116,31 @@ def scan_frames(
 ) -> tuple[int, int, int]:
     """Find whole frames from ``start`` on.
 
-    ``protocols`` is a mask of the protocols looked for; ``found`` (rows: start, end, ``frame_key``) is filled with frames,
+    ``protocols`` is a mask of the protocols looked for; ``found`` is filled with frames (rows: start, end, key),
     ``failures`` counts failed checksums by protocol. With ``final`` no candidate waits for more bytes. Returns the number of
     frames, the first byte not decided yet, and the number of bytes that belong to no frame.
     """
     end, position, count, skipped = len(data), start, 0, 0
     while position < end and count < len(found):
-        first = data[position]
+        head = data[position]
         length, protocol = _NO_FRAME, 0
-        if first == 0xB5 and protocols & 1:
+        if head == 0xB5 and protocols & 1:
             length, protocol = ubx_candidate(data, position, end), _UBX
-        elif first == 0xD3 and protocols & 2:
+        elif head == 0xD3 and protocols & 2:
             length, protocol = rtcm3_candidate(data, position, end), _RTCM3
-        elif first == 36 and protocols & 4:
+        elif head == 36 and protocols & 4:
             length, protocol = nmea_candidate(data, position, end), _NMEA
         if length > 0:
-            found[count, 0], found[count, 1] = position, position + length
-            found[count, 2] = frame_key(data, position, position + length, protocol)
+            key = -position
+            if protocol == _UBX:
+                key = int(data[position + 2]) << 8 | int(data[position + 3])
+            elif protocol == _RTCM3:
+                number = int(data[position + 3]) << 4 | int(data[position + 4]) >> 4
+                key = _RTCM3_KEYS + (number if length > RTCM3_OVERHEAD + 1 else 0)
+            else:
+                while data[-key] != 44 and data[-key] != 42:
+                    key -= 1
+            found[count, 0], found[count, 1], found[count, 2] = position, position + length, key
             count += 1
             position += length
             continue

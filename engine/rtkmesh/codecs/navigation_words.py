@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.codecs.bits import Layout
-from rtkmesh.codecs.checksums import crc24q_step
+from rtkmesh.codecs.checksums import CRC24Q
 from rtkmesh.codecs.subframes import BEIDOU_PREAMBLE, GLONASS_CHECK_MASKS, GLONASS_STRING, INAV, LNAV_PREAMBLE
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.signals import GPS, QZSS, SATELLITES_PER_SYSTEM
@@ -101,42 +101,27 @@ def _contents() -> NDArray[np.int64]:
     return contents
 
 
-def _meanings() -> NDArray[np.int64]:
-    """Return the masks of the words of GLONASS strings, by string, that make the ephemeris, but for its time of transmission."""
+def _meanings(contents: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return masks like those of contents: of GLONASS strings only what makes the ephemeris, but for its time of transmission."""
     unused = ("string", "p", "p1", "p2", "p3", "p4", "type", "nt_days", "tk_hours", "tk_minutes", "tk_half_minutes")
-    meanings = np.zeros((BLOCKS, WORDS), np.int64)
+    meanings = contents.copy()
+    meanings[GLONASS_MESSAGE] = 0
     for index in (1, 2, 3, 4):
         layout = GLONASS_STRING[index]
         used = [f.name for f in layout.fields if f.name not in unused]
-        meanings[index, :3] = words_of(_mask_of(layout, *used), layout.bits, 32)
+        meanings[GLONASS_MESSAGE, index, :3] = words_of(_mask_of(layout, *used), layout.bits, 32)
     return meanings
 
 
 _CONTENTS = _contents()
-GLONASS_MEANINGS = _meanings()
-_CHECK_MASKS = np.array([words_of(mask << 8, 85, 32) for mask in GLONASS_CHECK_MASKS], np.int64)
-_EVERY_DATA_BIT = np.array(words_of(((1 << 77) - 1) << 8, 85, 32), np.int64)
+MEANINGS = _meanings(_CONTENTS)
+_CHECK_MASKS = np.array([words_of(mask << 8, 85, 32) for mask in (*GLONASS_CHECK_MASKS, (1 << 77) - 1)], np.int64)
+_FOLDS = np.array([16, 8, 4, 2, 1])  # of 32 bits to their parity
 
 
 def new_satellites(count: int) -> Satellites:
     """Return the memory of satellites 0 to ``count`` - 1, of which nothing came yet."""
     return np.zeros(count, SATELLITE)
-
-
-@kernel
-def keep_block(satellites: Satellites, satellite: int, message: int, index: int, words: Words, stamp: int) -> bool:
-    """Keep a block as the newest one of its index; return whether it is the first one of its satellite."""
-    state = satellites[satellite]
-    first, changed = state["held"] == 0, state["held"] >> index & 1 == 0
-    kept = state["words"]
-    for k in range(WORDS):
-        changed = changed or (kept[index, k] ^ words[k]) & _CONTENTS[message, index, k] != 0
-        kept[index, k] = words[k]
-    if changed:
-        state["settled"] = 0
-    state["held"] |= 1 << index
-    state["stamps"][index] = stamp + 1
-    return first
 
 
 @kernel
@@ -147,7 +132,7 @@ def set_is_whole(satellites: Satellites, satellite: int, message: int, clock: in
     that are known.
     """
     state = satellites[satellite]
-    count, step_s = 3, 0
+    count, step_s, needs_time = 3, 0, message == LNAV_MESSAGE
     if message == INAV_MESSAGE:
         count = 5
     elif message == D1_MESSAGE:
@@ -155,8 +140,8 @@ def set_is_whole(satellites: Satellites, satellite: int, message: int, clock: in
     elif message == D2_MESSAGE:
         count, step_s = 10, 3
     elif message == GLONASS_MESSAGE:
-        count = 4
-    if state["settled"] or (clock == NO_CLOCK and message in (LNAV_MESSAGE, GLONASS_MESSAGE)):
+        count, needs_time = 4, True
+    if state["settled"] or (needs_time and clock == NO_CLOCK):
         return False
     stamps, same, known = state["stamps"], True, True
     for i in range(1, count + 1):
@@ -169,155 +154,99 @@ def set_is_whole(satellites: Satellites, satellite: int, message: int, clock: in
 
 
 @kernel
-def take_lnav(satellites: Satellites, satellite: int, words: Words, clock: int) -> int:
-    """Take one GPS or QZSS LNAV subframe (ten words of 30 bits, parity included)."""
-    if words[0] >> 22 != LNAV_PREAMBLE:
-        return BAD_PREAMBLE
-    index = words[1] >> 8 & 7
-    if index == IONOSPHERE_SUBFRAME:
+def check_block(satellite: int, message: int, words: Words, clock: int) -> int:
+    """Check the block in ``words``; return its index if it is of use, QUIET if it is of none, or what is wrong with it.
+
+    The words are ten of an LNAV or BeiDou subframe, three of a GLONASS string, or eight of an I/NAV page as u-blox lays it out (see
+    ``INAV_PAGE``): of that the first four are afterwards the data of its word.
+    """
+    if message == INAV_MESSAGE:
+        if words[0] >> 31 or not words[4] >> 31:
+            return BAD_PREAMBLE
+        if words[0] >> 30 & 1 or words[4] >> 30 & 1:
+            return ALERT
+        index, crc = words[0] >> 24 & 63, 0
+        if index > 5:
+            return QUIET
+        for k in range(7):  # 114 bits of the even part, 82 of the odd part (Galileo OS SIS ICD 2.1 5.1.9.4)
+            last = k == 3 or k == 6
+            for shift in range(24, 8 if last else -8, -8):
+                crc = ((crc << 8) & 0xFFFFFF) ^ int(CRC24Q[0, (crc >> 16) ^ (words[k] >> shift & 255)])
+            if last:
+                crc = ((crc << 2) & 0xFFFFFF) ^ int(CRC24Q[0, (crc >> 22) ^ (words[k] >> 14 & 3)])
+        if crc != (words[6] & 0x3FFF) << 10 | words[7] >> 22:
+            return BAD_CHECKSUM
+        for k in range(3):
+            words[k] = (words[k] << 2 | words[k + 1] >> 30) & 0xFFFFFFFF
+        words[3] = (words[3] >> 14 & 0xFFFF) << 16 | words[4] >> 14 & 0xFFFF
+        return index if index > 0 or (words[0] >> 24 & 3 == 2 and clock != GIVEN_CLOCK) else QUIET  # word 0 may hold a time
+    if message == GLONASS_MESSAGE:
+        index, check, total = words[0] >> 27 & 15, 0, 0
+        if index < 1 or index > 5:
+            return QUIET
+        for k in range(
+            8
+        ):  # check bits 1 to 8: parities of masked data bits, at last of all of them and of the others (GLONASS ICD 5.1, 4.7)
+            odd = total if k == 7 else 0
+            for i in range(3):
+                odd ^= words[i] & _CHECK_MASKS[k, i]
+            for shift in _FOLDS:
+                odd ^= odd >> shift
+            check |= (odd & 1) << k
+            total ^= odd & 1
+        return index if check == words[2] >> 11 & 255 else BAD_CHECKSUM
+    if message == LNAV_MESSAGE:
+        if words[0] >> 22 != LNAV_PREAMBLE:
+            return BAD_PREAMBLE
+        index, system, page = words[1] >> 8 & 7, satellite // SATELLITES_PER_SYSTEM, words[2] >> 22
         # Data id and page id (IS-GPS-200N 20.3.3.5.1, IS-QZSS-PNT 5.5.2).
-        system, page = satellite // SATELLITES_PER_SYSTEM, words[2] >> 22
-        if not ((system == GPS and page == 1 << 6 | 56) or (system == QZSS and page == 3 << 6 | 56)):
-            return QUIET
-        satellites[satellite]["words"][index, :] = words
-        return IONOSPHERE_SUBFRAME
-    if index < 1 or index > 3:
-        return QUIET
-    first = keep_block(satellites, satellite, LNAV_MESSAGE, index, words, 0)
-    return index if first or set_is_whole(satellites, satellite, LNAV_MESSAGE, clock) else QUIET
-
-
-@kernel
-def inav_crc(words: Words) -> int:
-    """Return the CRC-24Q of an I/NAV page: 114 bits of the even part and 82 of the odd part (Galileo OS SIS ICD 2.1 5.1.9.4)."""
-    crc = 0
-    for first, last in ((0, 3), (4, 6)):
-        for k in range(first, last + 1):
-            for shift in range(24, 8 if k == last else -8, -8):
-                crc = crc24q_step(crc, words[k] >> shift & 255, 8)
-        crc = crc24q_step(crc, words[last] >> 14 & 3, 2)
-    return crc
-
-
-@kernel
-def take_inav(satellites: Satellites, satellite: int, words: Words, clock: int) -> int:
-    """Take one Galileo I/NAV page, even and odd part, as u-blox lays them out (eight words, see ``INAV_PAGE``; they are used up)."""
-    if words[0] >> 31 or not words[4] >> 31:
-        return BAD_PREAMBLE
-    if words[0] >> 30 & 1 or words[4] >> 30 & 1:
-        return ALERT
-    index = words[0] >> 24 & 63
-    if index > 5:
-        return QUIET
-    if inav_crc(words) != (words[6] & 0x3FFF) << 10 | words[7] >> 22:
-        return BAD_CHECKSUM
-    for k in range(3):
-        words[k] = (words[k] << 2 | words[k + 1] >> 30) & 0xFFFFFFFF
-    words[3] = (words[3] >> 14 & 0xFFFF) << 16 | words[4] >> 14 & 0xFFFF
-    if index == 0:
-        if clock == GIVEN_CLOCK or words[0] >> 24 & 3 != 2:  # no time in it
-            return QUIET
-        satellites[satellite]["words"][index, :] = words
-        return index
-    first = keep_block(satellites, satellite, INAV_MESSAGE, index, words, 0)
-    news = first or (index == 5 and clock != GIVEN_CLOCK)
-    return index if news or set_is_whole(satellites, satellite, INAV_MESSAGE, clock) else QUIET
-
-
-@kernel
-def _sow_s(words: Words) -> int:
-    """Return the seconds of week of a BeiDou subframe."""
-    return (words[0] >> 4 & 0xFF) << 12 | words[1] >> 18
-
-
-@kernel
-def take_d1(satellites: Satellites, satellite: int, words: Words, clock: int) -> int:
-    """Take one BeiDou D1 subframe (ten words of 30 bits, parity included)."""
+        is_ionosphere = (system == GPS and page == 1 << 6 | 56) or (system == QZSS and page == 3 << 6 | 56)
+        return index if 1 <= index <= 3 or (index == IONOSPHERE_SUBFRAME and is_ionosphere) else QUIET
     if words[0] >> 19 != BEIDOU_PREAMBLE:
         return BAD_PREAMBLE
-    index = words[0] >> 12 & 7
-    if index < 1 or index > 3:
-        return QUIET
-    first = keep_block(satellites, satellite, D1_MESSAGE, index, words, _sow_s(words))
-    news = first or (index == 1 and not satellites[satellite]["settled"])
-    return index if news or set_is_whole(satellites, satellite, D1_MESSAGE, clock) else QUIET
+    index, page = words[0] >> 12 & 7, words[1] >> 14 & 15
+    if message == D1_MESSAGE or index != 1:
+        return index if message == D1_MESSAGE and 1 <= index <= 3 else QUIET
+    return page if 1 <= page <= 10 else OUT_OF_RANGE
 
 
 @kernel
-def take_d2(satellites: Satellites, satellite: int, words: Words, clock: int) -> int:
-    """Take one BeiDou D2 subframe (ten words of 30 bits, parity included), of which the first half is kept."""
-    if words[0] >> 19 != BEIDOU_PREAMBLE:
-        return BAD_PREAMBLE
-    if words[0] >> 12 & 7 != 1:
-        return QUIET
-    index = words[1] >> 14 & 15
-    if index < 1 or index > 10:
-        return OUT_OF_RANGE
-    first = keep_block(satellites, satellite, D2_MESSAGE, index, words, _sow_s(words))
-    return index if first or set_is_whole(satellites, satellite, D2_MESSAGE, clock) else QUIET
+def keep_block(
+    satellites: Satellites, satellite: int, message: int, index: int, words: Words, channel: int, frame: int,
+    clock: int, week: int, tow_s: float,
+) -> bool:  # fmt: skip
+    """Keep a block as the newest one of its index; return whether it must be looked at, whatever the others of its set are.
 
+    Of a GLONASS string come ``channel`` and ``frame``, a number that is equal for the strings of one frame, or 0. ``clock``, ``week`` and
+    ``tow_s`` are NavigationDecoder.now.
 
-@kernel
-def _is_odd(value: int) -> int:
-    """Return the parity of 32 bits."""
-    for shift in (16, 8, 4, 2, 1):
-        value ^= value >> shift
-    return value & 1
-
-
-@kernel
-def glonass_checks(words: Words) -> int:
-    """Return the check bits 8 to 1 of a string (GLONASS ICD 5.1, 4.7, table 4.13)."""
-    check, total = 0, 0
-    for k in range(7):
-        bit = 0
-        for i in range(3):
-            bit ^= _is_odd(words[i] & _CHECK_MASKS[k, i])
-        check |= bit << k
-        total ^= bit
-    for i in range(3):
-        total ^= _is_odd(words[i] & _EVERY_DATA_BIT[i])
-    return check | total << 7
-
-
-@kernel
-def gives_the_same(state: np.void, index: int, words: Words, channel: int, clock: int, now_s: float) -> bool:
-    """Return whether a string that comes to the settled blocks of a GLONASS satellite leaves them settled.
-
-    Some bits of strings change in every frame and mean nothing here. The ephemeris is the one of the last trial if the others are the
-    same, and if the day of its toe, which is that nearest to the present time, cannot be another one yet.
+    What settled blocks gave holds until a block with other contents comes. Some bits of GLONASS strings change in every frame and mean
+    nothing here: with a given time the ephemeris is the one of the last trial if the others are the same, and if the day of its toe, which
+    is that nearest to the present time, cannot be another one yet.
     """
-    if not state["settled"] or clock != GIVEN_CLOCK or state["toe_s"] <= 0.0 or channel != state["tried_channel"]:
-        return False
-    for k in range(3):
-        if (state["words"][index, k] ^ words[k]) & GLONASS_MEANINGS[index, k]:
-            return False
-    return abs(now_s - state["toe_s"]) < _SAME_DAY_S
-
-
-@kernel
-def take_glonass(
-    satellites: Satellites, satellite: int, words: Words, channel: int, frame: int, clock: int, week: int, tow_s: float
-) -> int:
-    """Take one GLONASS string (85 bits, check bits included, the rest zero); ``frame`` is equal for the strings of one frame, or 0.
-
-    ``week`` and ``tow_s`` are the time now, if it was given.
-    """
-    index = words[0] >> 27 & 15
-    if index < 1 or index > 5:
-        return QUIET
-    if glonass_checks(words) != words[2] >> 11 & 255:
-        return BAD_CHECKSUM
-    state = satellites[satellite]
-    settled = gives_the_same(state, index, words, channel, clock, week * SECONDS_PER_WEEK + tow_s)
-    first = keep_block(satellites, satellite, GLONASS_MESSAGE, index, words, frame)
-    if settled:
-        state["settled"] = 1
-    state["channel"] = channel
-    state["received_week"][index], state["received_tow_s"][index] = week + 1 if clock == GIVEN_CLOCK else 0, tow_s
-    if index == 1 and frame == 0:  # a new frame begins: what is left of others must not complete it
-        state["stamps"][2:] = 0
-    if first:
-        return index
-    news = index == 5 and clock != GIVEN_CLOCK and not state["settled"]
-    return index if news or set_is_whole(satellites, satellite, GLONASS_MESSAGE, clock) else QUIET
+    state, is_glonass = satellites[satellite], message == GLONASS_MESSAGE
+    first, changed, turned, kept = state["held"] == 0, state["held"] >> index & 1 == 0, False, state["words"]
+    for k in range(WORDS):
+        difference = kept[index, k] ^ words[k]
+        changed = changed or difference & _CONTENTS[message, index, k] != 0
+        turned = turned or difference & MEANINGS[message, index, k] != 0
+        kept[index, k] = words[k]
+    if index == 0 or (message == LNAV_MESSAGE and index == IONOSPHERE_SUBFRAME):  # not part of a set
+        return True
+    if is_glonass and clock == GIVEN_CLOCK and not turned and state["toe_s"] > 0.0:
+        from_toe_s = week * SECONDS_PER_WEEK + tow_s - state["toe_s"]
+        changed = changed and (channel != state["tried_channel"] or abs(from_toe_s) >= _SAME_DAY_S)
+    if changed:
+        state["settled"] = 0
+    state["held"] |= 1 << index
+    if is_glonass:
+        state["channel"], state["stamps"][index], state["received_tow_s"][index] = channel, frame + 1, tow_s
+        state["received_week"][index] = week + 1 if clock == GIVEN_CLOCK else 0
+        if index == 1 and frame == 0:  # a new frame begins: what is left of others must not complete it
+            for k in range(2, BLOCKS):
+                state["stamps"][k] = 0
+    elif D1_MESSAGE <= message <= D2_MESSAGE:
+        state["stamps"][index] = ((words[0] >> 4 & 0xFF) << 12 | words[1] >> 18) + 1  # seconds of week
+    # A time that was not given, or the ionosphere of D1, may come of a block alone.
+    of_time = clock != GIVEN_CLOCK and index == 5 and (message == INAV_MESSAGE or (is_glonass and not state["settled"]))
+    return first or of_time or (message == D1_MESSAGE and index == 1 and not state["settled"])

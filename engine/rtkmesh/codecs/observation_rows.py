@@ -11,10 +11,10 @@ from rtkmesh.gnss.signals import MAX_SATELLITE
 MAX_MESSAGE_ROWS: Final = 64  # an RTCM 3 message holds at most this many (10403.3, 3.5.1 and 3.5.16.1)
 _FIRST_CAPACITY: Final = 512
 
-_ROW_BITS, _PRIORITY_BITS, _SIGNAL_BITS = 32, 1, 9
-_SIGNAL_SHIFT: Final = _ROW_BITS + _PRIORITY_BITS
-_SATELLITE_SHIFT: Final = _SIGNAL_SHIFT + _SIGNAL_BITS
-_ROW_MASK: Final = (1 << _ROW_BITS) - 1
+PRIORITY_SHIFT: Final = 32
+SIGNAL_SHIFT: Final = PRIORITY_SHIFT + 1
+SATELLITE_SHIFT: Final = SIGNAL_SHIFT + 9
+SIGNAL_MASK, ROW_MASK = (1 << SATELLITE_SHIFT - SIGNAL_SHIFT) - 1, (1 << PRIORITY_SHIFT) - 1
 
 CellRows = NDArray[np.int16]  # by row: satellite, signal, channel, flags, priority (of equal signals the lowest counts)
 ValueRows = NDArray[np.float64]  # by row: pseudorange_m, phase_cyc, doppler_hz, cn0_dbhz, lock_s
@@ -45,41 +45,38 @@ class Rows:
 
 
 @kernel
-def row_key(satellite: int, signal: int, priority: int, row: int) -> int:
-    """Return a number that rises with satellite, signal, priority (0 or 1) and row, in this order."""
-    return ((satellite << _SIGNAL_BITS | signal) << _PRIORITY_BITS | priority) << _ROW_BITS | row
-
-
-@kernel
-def key_parts(key: int) -> tuple[int, int, int]:
-    """Return satellite, signal and row of a key."""
-    return key >> _SATELLITE_SHIFT, key >> _SIGNAL_SHIFT & (1 << _SIGNAL_BITS) - 1, key & _ROW_MASK
-
-
-@kernel
 def sort_keys(keys: NDArray[np.int64]) -> int:
-    """Sort the keys; of equal satellite and signal only the lowest stays. Returns the number of keys, which then stand in front."""
-    rising = True
-    for i in range(1, len(keys)):
+    """Sort the keys; of equal satellite and signal only the lowest stays. Returns the number of keys, which then stand in front.
+
+    A key is ``satellite << SATELLITE_SHIFT | signal << SIGNAL_SHIFT | priority (0 or 1) << PRIORITY_SHIFT | row``.
+    """
+    rising, total = True, len(keys)
+    for i in range(1, total):
         rising = rising and keys[i - 1] < keys[i]
     if not rising:
-        place, before, unsorted = np.zeros(MAX_SATELLITE, np.int64), 0, keys.copy()
-        for key in keys:
-            place[key >> _SATELLITE_SHIFT] += 1
+        place, before, unsorted = np.empty(MAX_SATELLITE, np.int64), 0, np.empty(total, np.int64)
         for satellite in range(MAX_SATELLITE):
-            before, place[satellite] = before + place[satellite], before
-        for key in unsorted:
-            keys[place[key >> _SATELLITE_SHIFT]] = key
-            place[key >> _SATELLITE_SHIFT] += 1
-        for i in range(1, len(keys)):  # by insertion what is left to do: the signals of each satellite
+            place[satellite] = 0
+        for i in range(total):
+            unsorted[i] = keys[i]
+            place[keys[i] >> SATELLITE_SHIFT] += 1
+        for satellite in range(MAX_SATELLITE):
+            rows = place[satellite]
+            place[satellite] = before
+            before += rows
+        for i in range(total):
+            satellite = unsorted[i] >> SATELLITE_SHIFT
+            keys[place[satellite]] = unsorted[i]
+            place[satellite] += 1
+        for i in range(1, total):  # by insertion what is left to do: the signals of each satellite
             key, k = keys[i], i
             while k > 0 and keys[k - 1] > key:
                 keys[k] = keys[k - 1]
                 k -= 1
             keys[k] = key
     count = 0
-    for i in range(len(keys)):
-        if count == 0 or keys[i] >> _SIGNAL_SHIFT != keys[count - 1] >> _SIGNAL_SHIFT:
+    for i in range(total):
+        if count == 0 or keys[i] >> SIGNAL_SHIFT != keys[count - 1] >> SIGNAL_SHIFT:
             keys[count] = keys[i]
             count += 1
     return count

@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.codecs.observation_rows import CellRows, Rows, ValueRows, key_parts, row_key, sort_keys
+from rtkmesh.codecs.observation_rows import (
+    PRIORITY_SHIFT,
+    ROW_MASK,
+    SATELLITE_SHIFT,
+    SIGNAL_MASK,
+    SIGNAL_SHIFT,
+    CellRows,
+    Rows,
+    ValueRows,
+    sort_keys,
+)
 from rtkmesh.codecs.rtcm3_msm import MSM_PRIORITY, NO_DAY, Part
 from rtkmesh.codecs.utc import leap_seconds_of
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S
@@ -84,39 +94,28 @@ class LockMemory:
 
 
 @kernel
-def lock_slipped(lock_s: float, memory_s: NDArray[np.float32], satellite: int, signal: int, used: bool) -> bool:
-    """Return whether a lock time (NaN: not known) means a slip, and remember it.
-
-    It does if it fell, or is zero twice in a stream that is known to send lock times.
-    """
-    if np.isnan(lock_s):
-        return False
-    before_s = memory_s[satellite, signal]
-    memory_s[satellite, signal] = lock_s if lock_s > 0.0 else _ZERO_LOCK
-    return lock_s < before_s or (lock_s == 0.0 and before_s == _ZERO_LOCK and used)
-
-
-@kernel
 def merge_rows(
     cells: CellRows, values: ValueRows, begin: int, end: int, memory_s: NDArray[np.float32], used: bool,
     ids: NDArray[np.int16], channel: NDArray[np.int8], flags: NDArray[np.uint8], columns: NDArray[np.float64],
 ) -> tuple[int, bool]:  # fmt: skip
     """Sort the rows ``begin`` to ``end`` of one epoch by (satellite, signal), keep each once, and mark slips.
 
+    A slip is a lock time below the one before it, or zero twice in a stream that is known to send lock times (NaN: not known).
     ``memory_s`` and ``used`` are those of LockMemory. Out: ``ids`` (2, n), ``channel``, ``flags``, and ``columns`` (7, n), of which the
     last two are what the messages do not say. Returns the number of rows and the new ``used``.
     """
     keys = np.empty(end - begin, np.int64)
     for i in range(end - begin):
-        row = begin + i
-        keys[i] = row_key(int(cells[row, 0]), int(cells[row, 1]), int(cells[row, 4]), i)
+        cell = cells[begin + i]
+        keys[i] = np.int64(cell[0]) << SATELLITE_SHIFT | np.int64(cell[1]) << SIGNAL_SHIFT | np.int64(cell[4]) << PRIORITY_SHIFT | i
     rows = sort_keys(keys)
     for k in range(rows):
-        satellite, signal, i = key_parts(keys[k])
-        row = begin + i
-        lock_s = float(np.float32(values[row, 4]))
+        satellite, signal, row = keys[k] >> SATELLITE_SHIFT, keys[k] >> SIGNAL_SHIFT & SIGNAL_MASK, begin + (keys[k] & ROW_MASK)
+        lock_s, before_s = float(np.float32(values[row, 4])), memory_s[satellite, signal]
         used = used or lock_s > 0.0
-        slipped = lock_slipped(lock_s, memory_s, satellite, signal, used)
+        slipped = lock_s < before_s or (lock_s == 0.0 and before_s == _ZERO_LOCK and used)
+        if not np.isnan(lock_s):
+            memory_s[satellite, signal] = lock_s if lock_s > 0.0 else _ZERO_LOCK
         ids[0, k], ids[1, k], channel[k] = satellite, signal, cells[row, 2]
         flags[k] = cells[row, 3] | (SLIP if slipped else 0)
         for j in range(5):
@@ -206,8 +205,10 @@ class EpochGatherer:
         if self._redundancy.skips(part, time):
             self._rejected[f"{kind} redundant beside MSM"] += 1
             return []
+        if time is self._time:
+            return self._same_epoch(kind, part)
         step_s = time - self.clock
-        if time is self._time or self._is_same_epoch(time, step_s):
+        if self._is_same_epoch(time, step_s):
             return self._same_epoch(kind, part)
         overtaken = self._was_overtaken(time, step_s)
         if not overtaken and not self._believable(time, step_s):

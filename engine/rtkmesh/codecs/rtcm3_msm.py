@@ -4,6 +4,7 @@ A message is ``header, satellite data, signal data``; signal data go field by fi
 is gathered from several places of the payload.
 """
 
+from math import nan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -54,8 +55,8 @@ _SIGNALS: Final = {
 }  # DF395 bit:RINEX code (tables 3.5-91 and following)
 
 
-def _signal_table() -> NDArray[np.int16]:
-    table = np.full((7, 33), -1, dtype=np.int16)
+def _signal_table() -> NDArray[np.int64]:
+    table = np.full((7, 33), -1, np.int64)
     for system, text in _SIGNALS.items():
         for entry in text.split():
             bit, code = entry.split(":")
@@ -96,9 +97,11 @@ def _by_type(index: int) -> NDArray[Any]:
 
 
 SATELLITE_WIDTHS, CELL_WIDTHS, SCALES = (_by_type(index) for index in range(3))
+SATELLITE_BITS, CELL_BITS = SATELLITE_WIDTHS.sum(axis=1), CELL_WIDTHS.sum(axis=1)
 RATE_SCALE_MPS: Final = 1e-4  # DF404
 INVALID_RATE_MPS: Final = -8192  # DF399
 NO_EXTENDED: Final = 15  # DF419: channel not known
+LAST_EXTENDED_LOCK: Final = 704  # DF407
 
 OK, TOO_SHORT, TOO_MANY_CELLS = 0, 1, 2
 REASONS: Final = ("", "too short", "more than 64 cells")
@@ -118,28 +121,27 @@ class Part(NamedTuple):
     rows: int
 
 
-@kernel
-def lock_time_s(indicator: int, extended: bool) -> float:
+def lock_time_s(indicator: int, *, extended: bool) -> float:
     """Return the minimum lock time (s) of DF402 or, extended, of DF407 (table 3.5-75); NaN for reserved values."""
     if not extended:
         return 0.0 if indicator == 0 else float(1 << (indicator + 4)) * 1e-3
     if indicator < 64:
         return indicator * 1e-3
-    if indicator > 704:
-        return np.nan
+    if indicator > LAST_EXTENDED_LOCK:
+        return nan
     k = indicator // 32 - 1
     return float((indicator - 32 * k) << k) * 1e-3
 
 
-@kernel
-def _set_bits(words: NDArray[np.int64], position: int, length: int, numbers: NDArray[np.int64]) -> int:
-    """Write the numbers (from 0) of the set bits of a mask to ``numbers`` and return how many there are."""
-    count = 0
-    for i in range(length):
-        if words[(position + i) >> 5] >> (31 - (position + i & 31)) & 1:
-            numbers[count] = i
-            count += 1
-    return count
+def _lock_table() -> NDArray[np.float64]:
+    """Return lock times by [whether the field is the extended one][indicator]."""
+    table = np.full((2, 1 << 10), np.nan)
+    table[0, :16] = [lock_time_s(indicator, extended=False) for indicator in range(16)]
+    table[1] = [lock_time_s(indicator, extended=True) for indicator in range(1 << 10)]
+    return table
+
+
+LOCK_S: Final = _lock_table()
 
 
 @kernel
@@ -159,17 +161,8 @@ def _satellite_fields(words: NDArray[np.int64], at: int, n_sat: int, widths: NDA
     at += widths[1] * n_sat
     rough_ms = np.nan if whole_ms == INVALID_ROUGH_MS else whole_ms + word_bits(words, at + widths[2] * i, widths[2]) / 1024.0
     at += widths[2] * n_sat
-    return rough_ms, _signed(word_bits(words, at + widths[3] * i, widths[3]), 14, 1.0), extended
-
-
-@kernel
-def _channel(system: int, number: int, extended: int, channels: NDArray[np.int8]) -> int:
-    """Return the GLONASS frequency channel, learning it from DF419 into ``channels``; NO_CHANNEL where unknown."""
-    if system != GLONASS:
-        return NO_CHANNEL
-    if extended <= 13:
-        channels[number] = extended - 7
-    return int(channels[number])
+    rough_mps = _signed(word_bits(words, at + widths[3] * i, widths[3]), widths[3], 1.0) if widths[3] else 0.0
+    return rough_ms, rough_mps, extended
 
 
 @kernel
@@ -182,12 +175,21 @@ def _find_cells(
     """
     if bits < HEADER_BITS:
         return TOO_SHORT, 0, 0, 0
-    n_sat, n_sig = _set_bits(words, 73, 64, masks[0]), _set_bits(words, 137, 32, masks[1])
-    if n_sat * n_sig > MAX_CELLS:
-        return TOO_MANY_CELLS, 0, 0, 0
-    if bits < HEADER_BITS + n_sat * n_sig:
-        return TOO_SHORT, 0, 0, 0
-    n_cell = _set_bits(words, HEADER_BITS, n_sat * n_sig, masks[2])
+    counts, at, length = np.empty(3, np.int64), 73, 64  # DF394; then DF395 and DF396
+    for mask in range(3):
+        counts[mask] = 0
+        for i in range(length):
+            if words[(at + i) >> 5] >> (31 - (at + i & 31)) & 1:
+                masks[mask, counts[mask]] = i
+                counts[mask] += 1
+        at, length = at + length, 32
+        if mask == 1:
+            length = counts[0] * counts[1]
+            if length > MAX_CELLS:
+                return TOO_MANY_CELLS, 0, 0, 0
+            if bits < HEADER_BITS + length:
+                return TOO_SHORT, 0, 0, 0
+    n_sat, n_sig, n_cell = counts[0], counts[1], counts[2]
     if bits < HEADER_BITS + n_sat * n_sig + n_sat * satellite_bits + n_cell * cell_bits:
         return TOO_SHORT, 0, 0, 0
     return OK, n_sat, n_sig, n_cell
@@ -205,11 +207,11 @@ def decode_cells(
     """
     words, masks = load_words(payload), np.empty((3, MAX_CELLS), np.int64)
     of_satellite, widths, scales = SATELLITE_WIDTHS[level], CELL_WIDTHS[level], SCALES[level]
-    status, n_sat, n_sig, n_cell = _find_cells(words, 8 * len(payload), of_satellite.sum(), widths.sum(), masks)
+    status, n_sat, n_sig, n_cell = _find_cells(words, 8 * len(payload), SATELLITE_BITS[level], CELL_BITS[level], masks)
     if status != OK:
         return status, 0, 0, 0, 0
     at_satellites = HEADER_BITS + n_sat * n_sig
-    at_code = at_satellites + n_sat * of_satellite.sum()
+    at_code = at_satellites + n_sat * SATELLITE_BITS[level]
     at_phase = at_code + n_cell * widths[0]
     at_lock = at_phase + n_cell * widths[1]
     at_half = at_lock + n_cell * widths[2]
@@ -226,7 +228,11 @@ def decode_cells(
         if i != last:
             rough_ms, rough_mps, extended = _satellite_fields(words, at_satellites, n_sat, of_satellite, i)
             last = i
-        satellite, channel = system * SATELLITES_PER_SYSTEM + number, _channel(system, number, extended, channels)
+        satellite, channel = system * SATELLITES_PER_SYSTEM + number, NO_CHANNEL
+        if system == GLONASS:
+            if extended <= 13:  # DF419
+                channels[number] = extended - 7
+            channel = int(channels[number])
         carrier = carrier_hz(satellite, signal, channel)
         phaseless += 1 if carrier == 0.0 else 0
         wavelength_m = SPEED_OF_LIGHT_MPS / carrier if carrier > 0.0 else np.nan
@@ -238,9 +244,9 @@ def decode_cells(
         values[row, 1] = (rough_ms + phase) * MILLISECOND_M / wavelength_m
         values[row, 2] = -(rough_mps + rate) / wavelength_m
         values[row, 3] = cn0 * scales[2] if cn0 else np.nan
-        values[row, 4] = lock_time_s(word_bits(words, at_lock + widths[2] * cell, widths[2]), widths[2] == 10)
+        values[row, 4] = LOCK_S[1 if widths[2] == 10 else 0, word_bits(words, at_lock + widths[2] * cell, widths[2])]
         cells[row, 0], cells[row, 1], cells[row, 2], cells[row, 4] = satellite, signal, channel, MSM_PRIORITY
-        cells[row, 3] = HALF_CYCLE if word_bits(words, at_half + cell, 1) else 0
+        cells[row, 3] = HALF_CYCLE if word_bits(words, at_half + cell, widths[3]) else 0
         if not (np.isnan(values[row, 0]) and np.isnan(values[row, 1]) and np.isnan(values[row, 2])):
             row += 1
     return OK, row - first, unknown, phaseless, (words[0] & 0xFFFFF) << 32 | words[1]

@@ -4,7 +4,6 @@ All other messages are counted as ignored; the services read what they need of t
 """
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from math import isfinite, radians
 from struct import Struct
 from typing import Final
@@ -14,8 +13,9 @@ import numpy as np
 from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
 from rtkmesh.codecs.navigation import NavigationDecoder
 from rtkmesh.codecs.navigation_words import QUIET, REFUSALS
-from rtkmesh.codecs.ubx_observations import ROW_BYTES, new_slip_state, rawx_columns
+from rtkmesh.codecs.ubx_observations import MEASUREMENT, ROW_BYTES, new_slip_state, rawx_columns
 from rtkmesh.codecs.ubx_subframes import UNKNOWN_SATELLITE, WRONG_LENGTH, take_subframes
+from rtkmesh.codecs.utc import from_utc, gps_day
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import ReceiverFix
 from rtkmesh.gnss.epoch import Epoch
@@ -91,7 +91,7 @@ class UbxDecoder:
         if not (isfinite(tow_s) and -1.0 < tow_s < SECONDS_PER_WEEK + 1.0) or week == 0:
             return "time"
         time = GpsTime(week, tow_s) if 0.0 <= tow_s < SECONDS_PER_WEEK else GpsTime.normalized(week, tow_s)
-        measurements = data[_ROWS : _ROWS + ROW_BYTES * total]
+        rows = np.frombuffer(data, MEASUREMENT, total, _ROWS)
         ids, channel, flags, columns = (
             np.empty((2, total), np.int16),
             np.empty(total, np.int8),
@@ -99,7 +99,7 @@ class UbxDecoder:
             np.empty((7, total)),
         )
         now_s = time.week * SECONDS_PER_WEEK + time.tow_s
-        count = rawx_columns(measurements, version, now_s, self._slip_state, ids, channel, flags, columns)
+        count = rawx_columns(rows, version, now_s, self._slip_state, ids, channel, flags, columns)
         if count < total:
             self.counters.rejected["ubx/02-15 unknown signal"] += total - count
             ids, channel, flags, columns = ids[:, :count], channel[:count], flags[:count], columns[:, :count]
@@ -123,11 +123,13 @@ def _pvt_time(values: tuple[int, ...]) -> GpsTime | None:
     tow_ms, year, month, day, hour, minute, second, valid = values[:8]
     if valid & 3 != 3 or not 0 <= tow_ms < SECONDS_PER_WEEK * 1000.0:
         return None
+    if hour > 23 or minute > 59:
+        return None
     try:
-        utc = datetime(year, month, day, hour, minute, min(second, 59), tzinfo=UTC)
+        near = from_utc(gps_day(year, month, day), (hour * 3600 + minute * 60 + min(second, 59)) * 1_000_000)
     except ValueError:
         return None
-    return nearest_week(tow_ms / 1e3, GpsTime.from_utc(utc))
+    return nearest_week(tow_ms / 1e3, near)
 
 
 def _receiver_fix(values: tuple[int, ...], time: GpsTime | None) -> ReceiverFix:
