@@ -2,8 +2,11 @@
 
 Usage: python benchmarks/decode_speed.py [--data FOLDER]   (default: RTKMESH_DATA or ../shared/data)
 
-Times are processor time of this process. Each case runs our code several times and takes the best (the machine may be shared); the
-Python oracle runs once on the first part of the file, because it takes milliseconds per message. A table goes to standard output.
+Times are processor time of this process. Each case runs our code several times and takes the best (the machine may be shared); MB/s are
+of the bytes of the frames decoded. Streams are fed in the pieces that the ingest reads. The Python oracle runs once on the first part of
+the file, because it takes milliseconds per message. The second table is what a solver waits for: a decoder that has run from the
+beginning of the recording gets one epoch's bytes at once, up to the message that ends the epoch, and the time from there to the epoch is
+taken, for every epoch of the recording; of several runs each epoch's best counts. Tables go to standard output.
 """
 
 import argparse
@@ -23,7 +26,7 @@ from rtkmesh.codecs.framing import Framer
 from rtkmesh.codecs.messages import Frame, Protocol
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.rtcm3_encode import encode_epoch
-from rtkmesh.codecs.stream import StreamDecoder
+from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx import RAWX, SFRBX, UbxDecoder
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
@@ -32,26 +35,53 @@ REPEATS = 7
 ORACLE_BYTES = 300_000  # so much of a file is enough for a figure of the oracle
 
 
+PIECE = 1 << 16  # what the ingest reads at once
+
+Run = tuple[Callable[[], int], int]  # returns the number of messages; the bytes that it decodes
+
+
 @dataclass(frozen=True)
 class Case:
-    """One line of the table: ``run`` decodes ``data`` and returns the number of messages; ``oracle`` does the same elsewhere."""
+    """One line of the first table: ``prepare`` returns what decodes the data; ``oracle`` does the same elsewhere."""
 
     name: str
     file: str
-    run: Callable[[bytes], Callable[[], int]]
+    prepare: Callable[[bytes], Run]
     oracle: Callable[[bytes], int] | None = None
 
 
-def framing(data: bytes) -> Callable[[], int]:
-    return lambda: len(Framer().feed(data))
+@dataclass(frozen=True)
+class LiveCase:
+    """One line of the second table."""
+
+    name: str
+    file: str
 
 
-def stream(data: bytes) -> Callable[[], int]:
-    return lambda: len(StreamDecoder().feed(data))
+def pieces(data: bytes) -> list[bytes]:
+    return [data[at : at + PIECE] for at in range(0, len(data), PIECE)]
 
 
-def ubx_messages(kind: str) -> Callable[[bytes], Callable[[], int]]:
-    def prepare(data: bytes) -> Callable[[], int]:
+def framing(data: bytes) -> Run:
+    def run() -> int:
+        framer = Framer()
+        return sum(len(framer.feed(piece)) for piece in parts)
+
+    parts = pieces(data)
+    return run, len(data)
+
+
+def stream(data: bytes) -> Run:
+    def run() -> int:
+        decoder = StreamDecoder(StreamOptions(approximate_time=RTCM_DATE))
+        return sum(len(decoder.feed(piece)) for piece in parts)
+
+    parts = pieces(data)
+    return run, len(data)
+
+
+def ubx_messages(kind: str) -> Callable[[bytes], Run]:
+    def prepare(data: bytes) -> Run:
         frames: list[Frame] = [frame for frame in Framer([Protocol.UBX]).feed(data) if frame.kind == kind]
 
         def run() -> int:
@@ -60,7 +90,7 @@ def ubx_messages(kind: str) -> Callable[[bytes], Callable[[], int]]:
                 decoder.decode(frame)
             return len(frames)
 
-        return run
+        return run, sum(len(frame.data) for frame in frames)
 
     return prepare
 
@@ -68,10 +98,10 @@ def ubx_messages(kind: str) -> Callable[[bytes], Callable[[], int]]:
 RTCM_DATE = GpsTime.from_calendar(2018, 7, 14, 12)
 
 
-def rtcm_messages(*kinds: str) -> Callable[[bytes], Callable[[], int]]:
+def rtcm_messages(*kinds: str) -> Callable[[bytes], Run]:
     """Decode the messages of these kinds with what belongs to them: gathering of epochs, slips, sorting."""
 
-    def prepare(data: bytes) -> Callable[[], int]:
+    def prepare(data: bytes) -> Run:
         frames = [frame for frame in Framer([Protocol.RTCM3]).feed(data) if frame.kind in kinds]
 
         def run() -> int:
@@ -80,16 +110,17 @@ def rtcm_messages(*kinds: str) -> Callable[[bytes], Callable[[], int]]:
                 decoder.decode(frame)
             return len(frames)
 
-        return run
+        return run, sum(len(frame.data) for frame in frames)
 
     return prepare
 
 
-def rtcm_encoding(data: bytes) -> Callable[[], int]:
+def rtcm_encoding(data: bytes) -> Run:
     decoder = Rtcm3Decoder(RTCM_DATE)
     messages = [message for frame in Framer([Protocol.RTCM3]).feed(data) for message in decoder.decode(frame)]
     epochs = [message for message in messages if isinstance(message, Epoch)][:200]
-    return lambda: sum(len(encode_epoch(epoch, 0)) for epoch in epochs)
+    size = sum(len(frame) for epoch in epochs for frame in encode_epoch(epoch, 0))
+    return lambda: sum(len(encode_epoch(epoch, 0)) for epoch in epochs), size
 
 
 def pyrtcm_messages(*kinds: str) -> Callable[[bytes], int]:
@@ -139,7 +170,16 @@ CASES = [
     Case("1004 and 1012", "dec_rtcm3/1012_first.rtcm", rtcm_messages("1004", "1012"), pyrtcm_messages("1004", "1012")),
     Case("RTCM ephemerides", "dec_rtcm3/eph.rtcm", rtcm_messages(*EPHEMERIDES), pyrtcm_messages(*EPHEMERIDES)),
     Case("framing, RTCM 3", MSM7_FILE, framing),
+    Case("stream, RTCM 3 MSM7", MSM7_FILE, stream),
+    Case("stream, RTCM 3 ephemerides", "dec_rtcm3/eph.rtcm", stream),
     Case("encoding MSM7", MSM7_FILE, rtcm_encoding),
+]
+LIVE_CASES = [
+    LiveCase("one live epoch, UBX, 53 signals", ROVER),
+    LiveCase("one live epoch, UBX + SFRBX", BASE),
+    LiveCase("one live epoch, UBX + NMEA", WALK),
+    LiveCase("one live epoch, RTCM 3 MSM7, 5 systems", MSM7_FILE),
+    LiveCase("one live epoch, RTCM 3 MSM4, 5 systems", MSM4_FILE),
 ]
 
 
@@ -159,9 +199,10 @@ def best_s(run: Callable[[], int]) -> tuple[float, int]:
 
 def line(case: Case, folder: Path) -> str:
     data = contents(folder / case.file)
-    seconds, count = best_s(case.run(data))
+    run, size = case.prepare(data)
+    seconds, count = best_s(run)
     ours_us = seconds / count * 1e6
-    text = f"{case.name:32} {count:7d} {ours_us:10.2f} {len(data) / seconds / 1e6:9.1f}"
+    text = f"{case.name:32} {count:7d} {ours_us:10.2f} {size / seconds / 1e6:9.1f}"
     if case.oracle is None:
         return text
     part = data[:ORACLE_BYTES]
@@ -169,6 +210,32 @@ def line(case: Case, folder: Path) -> str:
     oracle_count = case.oracle(part)
     oracle_us = (time.process_time() - start) / oracle_count * 1e6
     return f"{text} {oracle_us:10.1f} {oracle_us / ours_us:8.0f}"
+
+
+def epoch_pieces(data: bytes) -> list[bytes]:
+    """Cut a stream behind each message that ends an epoch."""
+    decoder, found, piece = StreamDecoder(StreamOptions(approximate_time=RTCM_DATE)), list[bytes](), b""
+    for frame, messages in decoder.feed(data):
+        piece += frame.data
+        if any(isinstance(message, Epoch) for message in messages):
+            found.append(piece)
+            piece = b""
+    return found
+
+
+def live_line(case: LiveCase, folder: Path) -> str:
+    parts = epoch_pieces(contents(folder / case.file))
+    best_ns = [2**62] * len(parts)
+    for _ in range(REPEATS):
+        decoder = StreamDecoder(StreamOptions(approximate_time=RTCM_DATE))
+        for k, piece in enumerate(parts):
+            start = time.perf_counter_ns()
+            found = decoder.feed(piece)
+            best_ns[k] = min(best_ns[k], time.perf_counter_ns() - start)
+            assert isinstance(found[-1][1][-1], Epoch)
+    ordered, size = sorted(best_ns), sum(map(len, parts)) / len(parts)
+    p50_us, p99_us = (ordered[round(share * (len(ordered) - 1))] / 1e3 for share in (0.5, 0.99))
+    return f"{case.name:40} {len(parts):7d} {size:8.0f} {p50_us:10.1f} {p99_us:10.1f}"
 
 
 def main() -> int:
@@ -182,6 +249,9 @@ def main() -> int:
     print(f"{'case':32} {'msgs':>7} {'us/msg':>10} {'MB/s':>9} {'oracle us':>10} {'factor':>8}")
     for case in CASES:
         print(line(case, folder), flush=True)
+    print(f"\n{'bytes in to epoch out':40} {'epochs':>7} {'bytes':>8} {'p50 us':>10} {'p99 us':>10}")
+    for live in LIVE_CASES:
+        print(live_line(live, folder), flush=True)
     return 0
 
 

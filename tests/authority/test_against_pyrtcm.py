@@ -9,6 +9,7 @@ from pyrtcm import RTCMReader
 
 from rtkmesh.codecs.framing import Framer
 from rtkmesh.codecs.messages import Frame, Protocol
+from rtkmesh.codecs.observation_rows import Rows
 from rtkmesh.codecs.rtcm3 import MSM, Rtcm3Decoder
 from rtkmesh.codecs.rtcm3_encode import encode_station
 from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS
@@ -100,13 +101,13 @@ def test_msm_values_equal(data: Path):
     for frame in sample(data, MSM):
         parsed = vars(RTCMReader.parse(frame.data))
         channels = np.full(64, NO_CHANNEL, np.int8)
-        result = decode_msm(frame.data[3:-3], int(frame.kind), channels)
-        assert result.observations is not None
+        rows = Rows()
+        part, *_ = decode_msm(frame.data[3:-3], int(frame.kind), channels, rows)
+        assert part is not None
         expected = [row for row in msm_rows(int(frame.kind), parsed, channels) if np.isfinite(row[2:5]).any()]
-        rows, values = result.observations.cells.T[:, :2].tolist(), result.observations.values[:4].T
-        assert [list(row[:2]) for row in expected] == rows
+        assert [list(row[:2]) for row in expected] == rows.cells[: part.rows, :2].tolist()
         if expected:
-            np.testing.assert_allclose(values, np.array([row[2:] for row in expected]), rtol=0.0, atol=2e-6)
+            np.testing.assert_allclose(rows.values[: part.rows, :4], np.array([row[2:] for row in expected]), rtol=0.0, atol=2e-6)
         cells += len(expected)
         kinds.add(frame.kind)
     assert cells > 1000
@@ -119,8 +120,10 @@ def test_legacy_values_equal(data: Path):
     kinds, signals = Counter[str](), Counter[str]()
     for frame in sample(data, frozenset(LEGACY)):
         parsed = vars(RTCMReader.parse(frame.data))
-        observations = LegacyDecoder(np.full(64, NO_CHANNEL, np.int8)).decode(frame.data[3:-3], int(frame.kind))
-        assert observations is not None
+        rows = Rows()
+        part = LegacyDecoder(np.full(64, NO_CHANNEL, np.int8)).decode(frame.data[3:-3], int(frame.kind), rows)
+        assert part is not None
+        cells, values = rows.cells[: part.rows], rows.values[: part.rows]
         glonass = frame.kind == "1012"
         names = (
             ("DF035", "DF041", "DF044", "DF042", "DF047", "DF048") if glonass else ("DF006", "DF011", "DF014", "DF012", "DF017", "DF018")
@@ -132,11 +135,11 @@ def test_legacy_values_equal(data: Path):
             expected.append((range_m, range_m + finite(l1, -262.144)))
             if code_l2 > -163.84 or l2 > -262.144:
                 expected.append((range_m + finite(code_l2, -163.84), range_m + finite(l2, -262.144)))
-        carriers = [carrier_hz(int(s), int(g), int(c)) for s, g, c in observations.cells[:3].T]
-        phase_m = observations.values[1] * SPEED_OF_LIGHT_MPS / np.array(carriers)
-        np.testing.assert_allclose(np.column_stack((observations.values[0], phase_m)), expected, rtol=0.0, atol=1e-6)
+        carriers = [carrier_hz(int(s), int(g), int(c)) for s, g, c in cells[:, :3]]
+        phase_m = values[:, 1] * SPEED_OF_LIGHT_MPS / np.array(carriers)
+        np.testing.assert_allclose(np.column_stack((values[:, 0], phase_m)), expected, rtol=0.0, atol=1e-6)
         kinds[frame.kind] += 1
-        signals.update(signal_code(int(signal)) for signal in observations.cells[1])
+        signals.update(signal_code(int(signal)) for signal in cells[:, 1])
     assert min(kinds["1004"], kinds["1012"]) > 10
     assert set(signals) >= {"1C", "1P", "2P", "2D", "2W"}
 

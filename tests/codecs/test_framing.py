@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtkmesh.codecs.checksums import crc24q, fletcher16
+from rtkmesh.codecs.checksums import CRC24Q_POLYNOMIAL, crc24q, crc24q_range, fletcher16, fletcher16_range
 from rtkmesh.codecs.framing import RTCM3_OVERHEAD, UBX_MAX_PAYLOAD, UBX_OVERHEAD, Framer
 from rtkmesh.codecs.messages import Protocol
 
@@ -149,6 +149,21 @@ def test_lower_case_checksums_are_read():
 def test_crc24q_is_that_of_the_standard():
     """The check value of CRC-24/LTE-A's sibling CRC-24Q for '123456789' is CDE703."""
     assert crc24q(as_array(b"123456789")) == 0xCDE703
+
+
+@given(data=st.binary(max_size=60), start=st.integers(0, 20))
+@settings(max_examples=80, deadline=None)
+def test_checksums_are_those_of_their_definitions(data: bytes, start: int):
+    """Kernels that take several bytes at once against the bit by bit division and the running sums, of any part."""
+    crc, a, b = 0, 0, 0
+    for byte in data[start:]:
+        crc ^= byte << 16
+        for _ in range(8):
+            crc = crc << 1 ^ (CRC24Q_POLYNOMIAL if crc & 0x800000 else 0)
+        a = (a + byte) % 256
+        b = (b + a) % 256
+    end = max(start, len(data))
+    assert (crc24q_range(data, start, end), fletcher16_range(data, start, end)) == (crc, a | b << 8)
 
 
 def test_a_long_stream_comes_out_over_many_batches():

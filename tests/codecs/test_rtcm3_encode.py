@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from rtkmesh.codecs.checksums import crc24q
 from rtkmesh.codecs.messages import Frame, Message, Protocol
+from rtkmesh.codecs.observation_rows import Rows
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.rtcm3_encode import PhaseLeveller, encode_epoch, encode_glonass_bias, encode_station, frame
 from rtkmesh.codecs.rtcm3_msm import MILLISECOND_M, SIGNAL_OF_BIT, decode_msm, lock_time_s
@@ -173,13 +174,13 @@ TABLE_3_5_75 = (
 @pytest.mark.parametrize(("indicator", "seconds"), TABLE_3_5_75)
 def test_lock_time_follows_the_table(indicator: int, seconds: float):
     """DF407, RTCM 10403.3 table 3.5-75."""
-    assert lock_time_s(indicator, True) == pytest.approx(seconds, abs=1e-9)
+    assert lock_time_s(indicator, extended=True) == pytest.approx(seconds, abs=1e-9)
 
 
 def test_short_lock_times_are_powers_of_two():
     """DF402: 0, then 32 ms doubled up to 524.288 s; reserved DF407 values have no meaning."""
-    assert [lock_time_s(i, False) for i in (0, 1, 2, 15)] == pytest.approx([0.0, 0.032, 0.064, 524.288])
-    assert np.isnan(lock_time_s(705, True))
+    assert [lock_time_s(i, extended=False) for i in (0, 1, 2, 15)] == pytest.approx([0.0, 0.032, 0.064, 524.288])
+    assert np.isnan(lock_time_s(705, extended=True))
 
 
 @settings(max_examples=60, deadline=None)
@@ -187,8 +188,8 @@ def test_short_lock_times_are_powers_of_two():
 def test_truncated_and_random_payloads_are_rejected_not_read_over(cut: int, seed: int):
     """Every length is checked before a bit is read: a payload shorter than its masks demand has a reason, never a value."""
     rng = np.random.default_rng(seed)
-    result = decode_msm(b"\x43\x50" + rng.bytes(cut), 1077, np.zeros(64, np.int8))
-    assert (result.observations is None) == (result.reason != "")
+    part, reason, _, _ = decode_msm(b"\x43\x50" + rng.bytes(cut), 1077, np.zeros(64, np.int8), Rows())
+    assert (part is None) == (reason != "")
 
 
 @settings(max_examples=30, deadline=None)

@@ -8,12 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtkmesh.codecs.bits import Coding
-from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS, decode_ephemeris, ephemeris_payload
+from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS, EphemerisDecoder, ephemeris_payload
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, NavigationMessage
 from rtkmesh.gnss.signals import satellite_number
 from rtkmesh.gnss.time import GpsTime, resolve_week
 
 NOW = GpsTime(2400, 302400.0)
+
+
+def decode_ephemeris(payload: bytes, number: int, clock: GpsTime | None) -> Ephemeris | str:
+    return EphemerisDecoder().decode(payload, number, clock, lambda _: False)[0]
 
 
 def payload_of(number: int, values: dict[str, float]) -> bytes:
@@ -195,3 +199,46 @@ def test_beidou_week_and_times_are_of_the_beidou_scale():
     got = decoded(ephemeris, 1042, NOW)
     assert got.toe == toe
     assert {field.name for field in fields(got)} == {field.name for field in fields(ephemeris)}
+
+
+def some_messages() -> list[tuple[int, bytes]]:
+    """Return messages of three satellites, of each two that follow one another, near the end of a week."""
+    toe = GpsTime(2400, 0.0)
+    found: list[tuple[int, bytes]] = []
+    for late_s in (0.0, 7200.0):
+        galileo = a_gps_ephemeris(toe + late_s, satellite=satellite_number("E11"), message=NavigationMessage.INAV, sqrt_a=5440.6)
+        found.append((1019, ephemeris_payload(a_gps_ephemeris(toe + late_s))))
+        found.append((1020, ephemeris_payload(a_glonass_ephemeris(toe + (18.0 + late_s)))))
+        found.append((1046, ephemeris_payload(galileo)))
+    return found
+
+
+def identity(ephemeris: Ephemeris) -> Ephemeris:
+    return replace(ephemeris, transmitted=NOW)
+
+
+@given(stream=st.lists(st.tuples(st.integers(0, 5), st.sampled_from([-6.9e5, -8e4, -700.0, -1.0, 0.0, 30.0, 5e4, 2e5, 4e5])), max_size=40))
+@settings(max_examples=80, deadline=None)
+def test_what_is_left_out_as_repeated_would_have_been_dropped_anyway(stream: list[tuple[int, float]]):
+    """A receiver of each satellite's changes gets the same, with the same times, whether the decoder looks for repetitions or not."""
+    messages, plain, thrifty = some_messages(), EphemerisDecoder(), EphemerisDecoder()
+    last: dict[int, Ephemeris] = {}
+    for index, seconds in stream:
+        number, payload = messages[index]
+        clock = GpsTime(2400, 0.0) + seconds
+        expected, never = plain.decode(payload, number, clock, lambda _: False)
+        found, repeats = thrifty.decode(payload, number, clock, lambda e: identity(e) == last.get(e.satellite))
+        assert isinstance(expected, KeplerEphemeris | GlonassEphemeris)
+        assert isinstance(found, KeplerEphemeris | GlonassEphemeris)
+        assert not never
+        assert (found == expected) if not repeats else (identity(found) == identity(expected) == last[found.satellite])
+        last[found.satellite] = identity(found)
+
+
+def test_a_repeated_message_is_left_out_only_if_its_ephemeris_counts():
+    """The same bytes a second later: nothing new if the receiver still has it, else the ephemeris with its own time of transmission."""
+    payload, decoder, clock = ephemeris_payload(a_gps_ephemeris(NOW)), EphemerisDecoder(), NOW + -60.0
+    first, _ = decoder.decode(payload, 1019, clock, lambda _: True)
+    assert not isinstance(first, str)
+    assert decoder.decode(payload, 1019, clock + 1.0, lambda e: e == first) == (first, True)
+    assert decoder.decode(payload, 1019, clock + 1.0, lambda _: False) == (replace(first, transmitted=clock + 1.0), False)

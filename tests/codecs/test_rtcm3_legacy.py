@@ -132,3 +132,11 @@ def test_legacy_beside_msm_is_redundant_but_not_when_alone():
 def test_lock_time_follows_the_table(indicator: int, seconds: int):
     """RTCM 10403.3 table 3.4-2."""
     assert lock_time_s(indicator) == seconds
+
+
+def test_of_a_signal_in_both_kinds_of_message_the_msm_counts():
+    """A legacy message with an SBAS satellite that an SBAS message of the same epoch holds as well: the row with the Doppler stays."""
+    sbas = make_epoch(TIME, satellite=[satellite_number("S23")], signal=[signal_number("1C")], pseudorange_m=[2.3e7], doppler_hz=[1.0])
+    (epoch,) = decode(gps_1004(TIME.tow_s, (0, 0), satellite=43, sync=1), *encode_epoch(sbas, 13))
+    assert [signal_code(int(signal)) for signal in epoch.signal] == ["1C", "2P"]
+    assert np.isfinite(epoch.doppler_hz).tolist() == [True, False]

@@ -28,6 +28,18 @@ def test_what_is_said_of_a_station_is_merged_and_told_when_it_changes():
     assert states[3] == STATION
 
 
+def test_a_repeated_message_is_told_again_after_another_one_has_changed_what_it_says():
+    """Two antennas that take turns: each change is told, though the bytes are those of before."""
+    decoder = StationDecoder()
+    other = ReferenceStation(5, STATION.position_ecef_m, antenna="LEIAR25.R3      NONE")
+    told = [
+        decoder.decode(descriptor_payload(station, 1007), 1007) for station in (STATION, STATION, other, other, STATION, STATION, other)
+    ]
+    assert [state.antenna if isinstance(state, ReferenceStation) else state for state in told] == [
+        STATION.antenna, None, other.antenna, None, STATION.antenna, None, other.antenna
+    ]  # fmt: skip
+
+
 def test_a_moved_base_is_told_at_once():
     """The decoder does not judge a move: it reports the new position (the solver decides)."""
     decoder = StationDecoder()

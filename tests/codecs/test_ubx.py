@@ -2,6 +2,7 @@
 
 import struct
 from dataclasses import dataclass
+from itertools import pairwise
 from math import radians
 
 import numpy as np
@@ -11,11 +12,14 @@ from hypothesis import strategies as st
 
 from rtkmesh.codecs.messages import Frame, Message, Protocol
 from rtkmesh.codecs.ubx import NAV_PVT, RAWX, SFRBX, UbxDecoder
-from rtkmesh.gnss.ephemeris import ReceiverFix
+from rtkmesh.codecs.ubx_encode import encode_ephemeris
+from rtkmesh.gnss.ephemeris import GlonassEphemeris, KeplerEphemeris, ReceiverFix
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch
-from rtkmesh.gnss.signals import NO_CHANNEL
+from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh.simulation.sky import SATELLITES, broadcast
 
+SENT = GpsTime(2445, 532_800.0)
 PSEUDORANGE, PHASE, HALF_KNOWN, HALF_SUBTRACTED = 1, 2, 4, 8
 GOOD = PSEUDORANGE | PHASE | HALF_KNOWN
 
@@ -198,6 +202,61 @@ def test_random_payloads_never_raise(kind: str, payload: bytes, gnss: int):
     decoder.decode(frame(kind, payload))
     decoder.decode(frame(kind, bytes([gnss]) + payload[1:]))
     decoder.decode(frame(RAWX, struct.pack("<dHbBBBxx", 1.0, 2350, 18, len(payload) // 32, 0, 1) + payload))
+
+
+def subframe_frames() -> list[Frame]:
+    """Return navigation blocks of four systems, twice, with messages between them that are refused or of no use."""
+    ephemerides = [broadcast(satellite, SENT) for satellite in SATELLITES[::6]]
+    good = [part for _ in range(2) for ephemeris in ephemerides for part in encode_ephemeris(ephemeris, SENT)]
+    others = [
+        frame(SFRBX, b"\x06\xff\0\0\x04\0\x02\0" + b"\0" * 16),
+        frame(SFRBX, b"\0\x05\0\0\x0a\0\x02\0" + b"\0" * 40),
+        frame(SFRBX, b"\0\x05"),
+        frame(SFRBX, b"\x01\x7b\0\0\x09\0\x02\0" + b"\0" * 36),
+    ]
+    return [part for k, data in enumerate(good) for part in (Frame(Protocol.UBX, SFRBX, data), *others[k % 9 : k % 9 + 1])]
+
+
+@given(cuts=st.lists(st.integers(0, 400), max_size=12), timed=st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_navigation_blocks_may_be_decoded_in_runs_of_any_length(cuts: list[int], timed: bool):
+    """Runs give what the frames give one by one: the messages of each frame, and the counters."""
+    frames = subframe_frames()
+    single, runs = UbxDecoder(SENT if timed else None), UbxDecoder(SENT if timed else None)
+    expected = [single.decode(part) for part in frames]
+    edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
+    assert [found for start, end in pairwise(edges) for found in runs.decode_subframes(frames[start:end])] == expected
+    assert (runs.counters, runs.time) == (single.counters, single.time)
+    assert sum(len(found) for found in expected) > 10
+    assert single.counters.rejected.keys() == {f"ubx/02-13 {reason}" for reason in ("satellite", "preamble", "length")}
+
+
+@pytest.mark.parametrize(
+    ("satellite", "offset", "value", "found"),
+    [
+        ("R07", 2, 2, True), ("R07", 2, 200, True), ("R07", 3, 20, True), ("R07", 3, 21, False), ("R07", 4, 3, False),
+        ("G05", 3, 99, True), ("G05", 2, 3, False), ("G05", 2, 200, False), ("G05", 4, 9, False), ("E11", 2, 5, True), ("E11", 2, 3, False),
+        ("E11", 4, 8, True), ("E11", 4, 7, False), ("C21", 2, 2, True), ("C21", 2, 1, False),
+    ],
+)  # fmt: skip
+def test_only_signals_with_ephemerides_of_ours_are_read(satellite: str, offset: int, value: int, found: bool):
+    """sigId (2), freqId (3) and number of words (4) of all messages of one satellite changed to a value."""
+    messages = [bytearray(data) for data in encode_ephemeris(broadcast(satellite_number(satellite), SENT), SENT)]
+    decoder = UbxDecoder(SENT)
+    for message in messages:
+        message[6 + offset] = value
+    given = [one for message in messages for one in decoder.decode(Frame(Protocol.UBX, SFRBX, bytes(message)))]
+    assert any(isinstance(one, KeplerEphemeris | GlonassEphemeris) for one in given) == found
+    assert not decoder.counters.rejected
+
+
+def test_a_run_that_is_cut_short_is_refused_where_it_ends():
+    """Nothing is read behind the bytes there are."""
+    whole = subframe_frames()[0]
+    decoder = UbxDecoder(SENT)
+    for length in range(1, len(whole.data)):
+        assert decoder.decode_subframes([whole, whole._replace(data=whole.data[:length])])[1] == []
+    assert decoder.counters.rejected == {"ubx/02-13 length": len(whole.data) - 1}
 
 
 def test_messages_of_no_use_here_are_counted_as_ignored():

@@ -7,44 +7,60 @@ fields of a block; decoders read them and encoders write them from the same tabl
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 
-Bytes = NDArray[np.uint8]
+Bytes = bytes | NDArray[np.uint8]
+
+
+_MAX_LENGTH: Final = 62  # bits of a number that kernels read
+_WORD_BITS: Final = 32
 
 
 @kernel
-def unsigned_bits(buffer: Bytes, position: int, length: int) -> int:
-    """Return ``length`` (0 to 62) bits from bit ``position`` as an unsigned number. The caller checks the bounds."""
-    value = 0
-    byte = position >> 3
-    offset = position & 7
-    left = length
-    while left > 0:
-        take = min(8 - offset, left)
-        chunk = (int(buffer[byte]) >> (8 - offset - take)) & ((1 << take) - 1)
-        value = (value << take) | chunk
-        left -= take
-        offset = 0
-        byte += 1
-    return value
+def load_words(data: bytes) -> NDArray[np.int64]:
+    """Return bytes as words of 32 bits, the last byte's word filled up with zeros, and one word of zeros for ``word_bits`` to run into."""
+    whole = len(data) // 4
+    words = np.empty(whole + 2, np.int64)
+    for i in range(whole):
+        at = 4 * i
+        words[i] = int(data[at]) << 24 | int(data[at + 1]) << 16 | int(data[at + 2]) << 8 | int(data[at + 3])
+    words[whole], words[whole + 1] = 0, 0
+    for at in range(4 * whole, len(data)):
+        words[whole] |= int(data[at]) << 8 * (3 - at % 4)
+    return words
 
 
 @kernel
-def signed_bits(buffer: Bytes, position: int, length: int) -> int:
-    """Return ``length`` (1 to 62) bits from bit ``position`` as a two's complement number."""
-    value = unsigned_bits(buffer, position, length)
-    return value - (1 << length) if value >> (length - 1) else value
+def word_bits(words: NDArray[np.int64], position: int, length: int) -> int:
+    """Return ``length`` (0 to 32) bits from bit ``position`` of words of 32 bits as an unsigned number. The caller checks the bounds."""
+    at = position >> 5
+    pair = words[at] << 32 | words[at + 1]  # its sign is cut off below
+    return pair >> (63 - (position & 31) - length) >> 1 & (1 << length) - 1
+
+
+# One part of a field: its bits, and with the last part of a field how its number is made of all of them.
+_PART = np.dtype(
+    [("first", np.int64), ("length", np.int64), ("last", np.int64), ("sign", np.int64), ("twos", np.int64), ("scale", np.float64)]
+)
 
 
 @kernel
-def sign_magnitude_bits(buffer: Bytes, position: int, length: int) -> int:
-    """Return ``length`` (2 to 62) bits from bit ``position`` as sign and magnitude (GLONASS)."""
-    magnitude = unsigned_bits(buffer, position + 1, length - 1)
-    return -magnitude if unsigned_bits(buffer, position, 1) else magnitude
+def read_fields(data: bytes, start: int, parts: NDArray[np.void], values: NDArray[np.float64]) -> None:
+    """Write the scaled numbers of the fields of a block that begins at byte ``start``; ``parts`` are those of ``_PART``."""
+    words, code, field = load_words(data), 0, 0
+    for i in range(len(parts)):
+        part = parts[i]
+        code = code << part["length"] | word_bits(words, 8 * start + part["first"], part["length"])
+        if part["last"]:
+            if code & part["sign"]:
+                code = code - 2 * part["sign"] if part["twos"] else part["sign"] - code
+            values[field] = code * part["scale"]
+            code, field = 0, field + 1
 
 
 class BitWriter:
@@ -119,6 +135,22 @@ class Field:
         return sum(length for _, length in self.parts)
 
 
+def _part_table(fields: tuple[Field, ...]) -> NDArray[np.void]:
+    """Return the parts of all fields as ``read_fields`` wants them."""
+    rows: list[tuple[int, int, int, int, int, float]] = []
+    for field in fields:
+        sign = 0 if field.coding is Coding.UNSIGNED else 1 << (field.length - 1)
+        twos = int(field.coding is Coding.TWOS_COMPLEMENT)
+        pieces = [piece for first, length in field.parts for piece in _pieces(first, length)]
+        rows += [(first, length, int(k == len(pieces) - 1), sign, twos, field.scale) for k, (first, length) in enumerate(pieces)]
+    return np.array(rows, _PART)
+
+
+def _pieces(first: int, length: int) -> list[tuple[int, int]]:
+    """Return a part cut into pieces that ``word_bits`` can read."""
+    return [(at, min(_WORD_BITS, first + length - at)) for at in range(first, first + length, _WORD_BITS)]
+
+
 class Layout:
     """The fields of a block of ``bits`` bits. Immutable."""
 
@@ -127,6 +159,8 @@ class Layout:
         # By field name: (shift, mask, length) of each part from the block's end, and how to read the joined bits.
         self._parts = {f.name: tuple((bits - first - n, (1 << n) - 1, n) for first, n in f.parts) for f in fields}
         self._sign = {f.name: 0 if f.coding is Coding.UNSIGNED else 1 << (f.length - 1) for f in fields}
+        self._names = [f.name for f in fields]
+        self._table = _part_table(fields) if all(f.length <= _MAX_LENGTH for f in fields) else None
 
     def number(self, block: int, field: Field) -> int:
         """Return the unscaled number of a field."""
@@ -146,7 +180,16 @@ class Layout:
 
     def read(self, block: int) -> dict[str, float]:
         """Return the value of every field, scaled to its unit."""
-        return {field.name: self.number(block, field) * field.scale for field in self.fields}
+        size = (self.bits + 7) // 8
+        return self.read_bytes((block << 8 * size - self.bits).to_bytes(size, "big"))
+
+    def read_bytes(self, data: bytes, start: int = 0) -> dict[str, float]:
+        """Return the value of every field of the block that begins at byte ``start`` of ``data``; the caller checks the bounds."""
+        if self._table is None:
+            raise ValueError(f"{self.name} has fields that are no numbers")
+        values = np.empty(len(self._names))
+        read_fields(data, start, self._table, values)
+        return dict(zip(self._names, values.tolist(), strict=True))
 
     def write(self, values: Mapping[str, float], block: int = 0) -> int:
         """Return ``block`` with the fields named in ``values`` set (rounded to their resolution); ValueError if one does not fit."""

@@ -1,4 +1,4 @@
-"""Checksums of the framings and of navigation pages. All kernels take ``uint8`` arrays and trust their bounds."""
+"""Checksums of the framings and of navigation pages. All kernels trust their bounds."""
 
 from typing import Final
 
@@ -7,32 +7,43 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 
-Bytes = NDArray[np.uint8]
+Bytes = bytes | NDArray[np.uint8]
 
 CRC24Q_POLYNOMIAL: Final = 0x1864CFB  # RTCM 10403.3 4.2, Galileo OS SIS ICD 2.1 5.1.9.4
 
 
-def _crc24q_table() -> NDArray[np.int64]:
-    table = np.zeros(256, np.int64)
+_STRIDE: Final = 8  # bytes that the CRC takes at once
+
+
+def _crc24q_tables() -> NDArray[np.int64]:
+    """Return the CRC of a byte that ``k`` zero bytes follow, by k and byte."""
+    tables = np.zeros((_STRIDE, 256), np.int64)
     for byte in range(256):
         crc = byte << 16
-        for _ in range(8):
-            crc <<= 1
-            if crc & 0x1000000:
-                crc ^= CRC24Q_POLYNOMIAL
-        table[byte] = crc
-    return table
+        for k in range(_STRIDE):
+            for _ in range(8):
+                crc <<= 1
+                if crc & 0x1000000:
+                    crc ^= CRC24Q_POLYNOMIAL
+            tables[k, byte] = crc
+    return tables
 
 
-_CRC24Q = _crc24q_table()
+CRC24Q = _crc24q_tables()
 
 
 @kernel
 def crc24q_range(data: Bytes, start: int, end: int) -> int:
     """Return the CRC-24Q of ``data[start:end]`` (initial value 0)."""
-    crc = 0
-    for i in range(start, end):
-        crc = ((crc << 8) & 0xFFFFFF) ^ int(_CRC24Q[(crc >> 16) ^ int(data[i])])
+    part, crc, whole = data[start:end], 0, (end - start) // _STRIDE * _STRIDE
+    for i in range(0, whole, _STRIDE):
+        crc ^= int(part[i]) << 16 | int(part[i + 1]) << 8 | int(part[i + 2])
+        following = 0
+        for k in range(3, _STRIDE):
+            following ^= int(CRC24Q[_STRIDE - 1 - k, part[i + k]])
+        crc = int(CRC24Q[7, crc >> 16]) ^ int(CRC24Q[6, crc >> 8 & 255]) ^ int(CRC24Q[5, crc & 255]) ^ following
+    for i in range(whole, len(part)):
+        crc = ((crc << 8) & 0xFFFFFF) ^ int(CRC24Q[0, (crc >> 16) ^ int(part[i])])
     return crc
 
 
@@ -44,24 +55,16 @@ def crc24q(data: Bytes) -> int:
 @kernel
 def fletcher16_range(data: Bytes, start: int, end: int) -> int:
     """Return the UBX checksum (CK_A + 256 CK_B) of ``data[start:end]``: 8-bit Fletcher, u-blox interface description 3.4."""
-    # Sums of up to 8200 bytes of 255 need 35 bits at most, so the reduction modulo 256 can wait until the end.
-    a = 0
-    b = 0
-    for i in range(start, end):
-        a += int(data[i])
-        b += a
+    # The second sum counts each byte as often as it lies in the first one. Sums of up to 8200 bytes of 255 need 35 bits at most, so the
+    # reduction modulo 256 can wait until the end.
+    part, a, b = data[start:end], 0, 0
+    for i in range(len(part)):
+        value = int(part[i])
+        a += value
+        b += (len(part) - i) * value
     return (a & 0xFF) | (b & 0xFF) << 8
 
 
 def fletcher16(data: Bytes) -> int:
     """Return the UBX checksum (CK_A + 256 CK_B) of all bytes (class to end of payload)."""
     return int(fletcher16_range(data, 0, len(data)))
-
-
-@kernel
-def xor8_range(data: Bytes, start: int, end: int) -> int:
-    """Return the exclusive or of ``data[start:end]`` (NMEA 0183 5.2.2)."""
-    value = 0
-    for i in range(start, end):
-        value ^= int(data[i])
-    return value

@@ -9,10 +9,11 @@ from typing import Final
 
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, SISA_M, URA_M, accuracy_m
 from rtkmesh.codecs.subframes import BEIDOU_TOE_UNIT_S, D1, D2_EPHEMERIS, GLONASS_STRING, INAV, LNAV
+from rtkmesh.codecs.utc import leap_seconds_of
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, SECONDS_PER_DAY, SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import GlonassEphemeris, KeplerEphemeris, KlobucharParameters, NavigationMessage
 from rtkmesh.gnss.signals import QZSS, SATELLITES_PER_SYSTEM, SYSTEMS
-from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s, nearest_week, resolve_week
+from rtkmesh.gnss.time import GpsTime, nearest_week, resolve_week
 
 Values = dict[str, float]
 
@@ -148,8 +149,10 @@ def _frame_start_s(first: Values) -> float:
 
 def moscow_time(time_of_day_s: float, near: GpsTime) -> GpsTime:
     """Return the instant nearest to ``near`` with this Moscow time of day."""
-    found = _nearest_day(time_of_day_s - MOSCOW_MINUS_UTC_S + gps_minus_utc_s(near), near)
-    return _nearest_day(time_of_day_s - MOSCOW_MINUS_UTC_S + gps_minus_utc_s(found), near)  # the leap seconds of its own day
+    leap_s = leap_seconds_of(near)
+    found = _nearest_day(time_of_day_s - MOSCOW_MINUS_UTC_S + leap_s, near)
+    own_leap_s = leap_seconds_of(found)
+    return found if own_leap_s == leap_s else _nearest_day(time_of_day_s - MOSCOW_MINUS_UTC_S + own_leap_s, near)
 
 
 def _nearest_day(time_of_day_s: float, near: GpsTime) -> GpsTime:

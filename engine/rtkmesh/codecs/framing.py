@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.codecs.checksums import crc24q_range, fletcher16_range, xor8_range
+from rtkmesh.codecs.checksums import crc24q_range, fletcher16_range
 from rtkmesh.codecs.messages import Frame, FramingCounters, Protocol
-
-Bytes = NDArray[np.uint8]
 
 FRAMED: Final = (Protocol.UBX, Protocol.RTCM3, Protocol.NMEA)  # the order is the kernels' numbering
 _UBX, _RTCM3, _NMEA = 0, 1, 2
@@ -30,11 +28,14 @@ _NO_FRAME, _NEEDS_MORE, _BAD_CHECKSUM = -1, -2, -3
 
 _NMEA_ADDRESS, _MAX_KINDS = 8, 1000  # longest address, and number of kinds, that get a counter of their own
 
+_RTCM3_KEYS = 1 << 16  # behind the keys of UBX: class * 256 + id
+
 _BATCH = 512  # frames per call of the scan kernel
+_new: Final = tuple[Protocol | str | bytes, ...].__new__  # takes half the time of the constructor of a named tuple
 
 
 @kernel
-def ubx_candidate(data: Bytes, start: int, end: int) -> int:
+def ubx_candidate(data: bytes, start: int, end: int) -> int:
     """Return the length of the UBX frame at ``start`` (its first byte is B5), or why there is none."""
     if start + 2 > end:
         return _NEEDS_MORE
@@ -53,7 +54,7 @@ def ubx_candidate(data: Bytes, start: int, end: int) -> int:
 
 
 @kernel
-def rtcm3_candidate(data: Bytes, start: int, end: int) -> int:
+def rtcm3_candidate(data: bytes, start: int, end: int) -> int:
     """Return the length of the RTCM 3 frame at ``start`` (its first byte is D3), or why there is none (RTCM 10403.3, 4)."""
     if start + 2 > end:
         return _NEEDS_MORE
@@ -68,68 +69,78 @@ def rtcm3_candidate(data: Bytes, start: int, end: int) -> int:
     return stop - start if crc24q_range(data, start, stop - 3) == sent else _BAD_CHECKSUM
 
 
-@kernel
-def hex_digit(character: int) -> int:
-    """Return the value of an ASCII hexadecimal digit, or -1."""
-    if 48 <= character <= 57:
-        return character - 48
-    if 65 <= character <= 70:
-        return character - 55
-    if 97 <= character <= 102:
-        return character - 87
-    return -1
+def _hex_table() -> NDArray[np.int64]:
+    """Return the values of hexadecimal digits by ASCII character, 256 where there is none."""
+    table = np.full(256, 256, np.int64)
+    for value, character in enumerate("0123456789ABCDEF"):
+        table[ord(character)] = table[ord(character.lower())] = value
+    return table
+
+
+_HEX = _hex_table()
 
 
 @kernel
-def nmea_candidate(data: Bytes, start: int, end: int) -> int:
+def nmea_candidate(data: bytes, start: int, end: int) -> int:
     """Return the length of the NMEA sentence at ``start`` (its first byte is ``$``), or why there is none.
 
     ``$...*hh`` and CR LF (a lone LF is accepted), printable ASCII, checksum obligatory.
     """
-    star = start + 1
+    star, check = start + 1, 0
     while True:
         if star >= start + NMEA_MAX_LENGTH:
             return _NO_FRAME
         if star >= end:
             return _NEEDS_MORE
-        if data[star] == 42:
+        character = int(data[star])
+        if character == 42:
             break
-        if data[star] < 32 or data[star] > 126 or data[star] == 36:
+        if character < 32 or character > 126 or character == 36:
             return _NO_FRAME
+        check ^= character  # NMEA 0183 5.2.2
         star += 1
     stop = star + 3
     if end > stop and data[stop] == 13:
         stop += 1
     if end <= stop:
         return _NEEDS_MORE
-    high, low = hex_digit(int(data[star + 1])), hex_digit(int(data[star + 2]))
-    if data[stop] != 10 or high < 0 or low < 0:
+    high, low = int(_HEX[data[star + 1]]), int(_HEX[data[star + 2]])
+    if data[stop] != 10 or high > 15 or low > 15:
         return _NO_FRAME
-    return stop + 1 - start if xor8_range(data, start + 1, star) == high * 16 + low else _BAD_CHECKSUM
+    return stop + 1 - start if check == high * 16 + low else _BAD_CHECKSUM
 
 
 @kernel
 def scan_frames(
-    data: Bytes, start: int, final: bool, protocols: int, found: NDArray[np.int64], failures: NDArray[np.int64]
+    data: bytes, start: int, final: bool, protocols: int, found: NDArray[np.int64], failures: NDArray[np.int64]
 ) -> tuple[int, int, int]:
     """Find whole frames from ``start`` on.
 
-    ``protocols`` is a mask of the protocols looked for; ``found`` (rows: start, end, protocol) is filled with frames,
+    ``protocols`` is a mask of the protocols looked for; ``found`` is filled with frames (rows: start, end, key),
     ``failures`` counts failed checksums by protocol. With ``final`` no candidate waits for more bytes. Returns the number of
     frames, the first byte not decided yet, and the number of bytes that belong to no frame.
     """
     end, position, count, skipped = len(data), start, 0, 0
     while position < end and count < len(found):
-        first = data[position]
+        head = data[position]
         length, protocol = _NO_FRAME, 0
-        if first == 0xB5 and protocols & 1:
+        if head == 0xB5 and protocols & 1:
             length, protocol = ubx_candidate(data, position, end), _UBX
-        elif first == 0xD3 and protocols & 2:
+        elif head == 0xD3 and protocols & 2:
             length, protocol = rtcm3_candidate(data, position, end), _RTCM3
-        elif first == 36 and protocols & 4:
+        elif head == 36 and protocols & 4:
             length, protocol = nmea_candidate(data, position, end), _NMEA
         if length > 0:
-            found[count, 0], found[count, 1], found[count, 2] = position, position + length, protocol
+            key = -position
+            if protocol == _UBX:
+                key = int(data[position + 2]) << 8 | int(data[position + 3])
+            elif protocol == _RTCM3:
+                number = int(data[position + 3]) << 4 | int(data[position + 4]) >> 4
+                key = _RTCM3_KEYS + (number if length > RTCM3_OVERHEAD + 1 else 0)
+            else:
+                while data[-key] != 44 and data[-key] != 42:
+                    key -= 1
+            found[count, 0], found[count, 1], found[count, 2] = position, position + length, key
             count += 1
             position += length
             continue
@@ -151,7 +162,7 @@ class Framer:
         self._pending = b""
         self._found = np.zeros((_BATCH, 3), np.int64)
         self._failures = np.zeros(len(FRAMED), np.int64)
-        self._kinds: dict[bytes | int, tuple[str, str]] = {}
+        self._kinds: dict[bytes | int, tuple[Protocol, str, str]] = {}
 
     @property
     def pending(self) -> int:
@@ -168,15 +179,19 @@ class Framer:
         return self._scan(self._pending, final=True)
 
     def _scan(self, data: bytes, *, final: bool) -> list[Frame]:
-        view, frames, position = np.frombuffer(data, np.uint8), list[Frame](), 0
+        frames: list[Frame] = []
+        position, all_skipped = 0, 0
         while True:
-            count, position, skipped = scan_frames(view, position, final, self._mask, self._found, self._failures)
-            self.counters.bytes_skipped += skipped
-            self._append_frames(frames, data, self._found[:count].tolist())
+            count, position, skipped = scan_frames(data, position, final, self._mask, self._found, self._failures)
+            all_skipped += skipped
+            if count:
+                self._append_frames(frames, data, self._found[:count].tolist())
             if count < _BATCH:
                 break
         self._pending = data[position:]
-        self._count_failures()
+        if all_skipped:  # what fails its checksum skips a byte
+            self.counters.bytes_skipped += all_skipped
+            self._count_failures()
         return frames
 
     def _count_failures(self) -> None:
@@ -186,29 +201,24 @@ class Framer:
             self._failures[:] = 0
 
     def _append_frames(self, frames: list[Frame], data: bytes, found: list[list[int]]) -> None:
+        kinds = self._kinds
         seen: list[str] = []
-        for start, end, protocol in found:
-            frame = data[start:end]
-            if protocol == _UBX:
-                key: bytes | int = frame[2:4]
-            elif protocol == _RTCM3:
-                key = frame[3] << 4 | frame[4] >> 4 if end - start > RTCM3_OVERHEAD + 1 else 0
-            else:
-                key = frame[1 : frame.find(b"," if b"," in frame else b"*")]
-            kind, label = self._kinds.get(key) or self._name(key, protocol)
+        for start, end, key in found:
+            name: bytes | int = key if key >= 0 else data[start + 1 : -key]
+            protocol, kind, label = kinds.get(name) or self._name(name)
             seen.append(label)
-            frames.append(Frame(FRAMED[protocol], kind, frame))
+            frames.append(_new(Frame, (protocol, kind, data[start:end])))
         self.counters.frames.update(seen)
 
-    def _name(self, key: bytes | int, protocol: int) -> tuple[str, str]:
+    def _name(self, key: bytes | int) -> tuple[Protocol, str, str]:
         """Return the kind of a message and its name in the counters (the odd ones share one: a hostile stream must not fill memory)."""
-        if isinstance(key, int):
-            kind = str(key)
-        elif protocol == _UBX:
-            kind = f"{key[0]:02x}-{key[1]:02x}"
-        else:
-            kind = key.decode("ascii")
+        if isinstance(key, bytes):
+            protocol, kind = Protocol.NMEA, key.decode("ascii")
             if len(key) > _NMEA_ADDRESS or len(self._kinds) > _MAX_KINDS:
-                return kind, "nmea/other"
-        self._kinds[key] = kind, f"{FRAMED[protocol]}/{kind}"
+                return protocol, kind, "nmea/other"
+        elif key >= _RTCM3_KEYS:
+            protocol, kind = Protocol.RTCM3, str(key - _RTCM3_KEYS)
+        else:
+            protocol, kind = Protocol.UBX, f"{key >> 8:02x}-{key & 255:02x}"
+        self._kinds[key] = protocol, kind, f"{protocol}/{kind}"
         return self._kinds[key]

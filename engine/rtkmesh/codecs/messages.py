@@ -7,6 +7,7 @@ what a peer sent, and it never confuses the last two.
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, KlobucharParameters, ReceiverFix, ReferenceStation
 from rtkmesh.gnss.epoch import Epoch
@@ -22,8 +23,7 @@ class Protocol(StrEnum):
     SBF = "sbf"
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(NamedTuple):
     """One whole, checksum-verified frame as it came, header and checksum included.
 
     ``kind`` names the message: UBX ``"02-15"`` (class-id in hex), RTCM 3 ``"1077"``, NMEA ``"GNGGA"``.

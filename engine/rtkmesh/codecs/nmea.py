@@ -1,15 +1,17 @@
 """NMEA 0183 sentences that tell a receiver's own fix: GGA (position), GST (its accuracy), RMC (the date). Version 4.11."""
 
-from datetime import UTC, datetime, timedelta
 from math import hypot, isfinite, radians
 from typing import Final
 
 from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
+from rtkmesh.codecs.utc import from_utc, gps_day, microseconds
 from rtkmesh.gnss.constants import SECONDS_PER_DAY
 from rtkmesh.gnss.ephemeris import ReceiverFix
 from rtkmesh.gnss.time import GpsTime
 
 _FIX_OF_QUALITY: Final = {1: 3, 2: 4, 3: 3, 4: 6, 5: 5, 6: 1}
+_DECODED: Final = frozenset(("GGA", "GST", "RMC"))
+_DAY_US: Final = 86_400_000_000
 _NAN: Final = float("nan")
 _MAX_KINDS: Final = 1000  # sentences with a counter of their own
 
@@ -19,23 +21,27 @@ class NmeaDecoder:
 
     def __init__(self, approximate_time: GpsTime | None = None) -> None:
         self.counters = DecodingCounters()
-        self._utc = approximate_time.to_utc() if approximate_time else None
+        self._utc: tuple[int, int] | None = None  # newest time: days since the beginning of GPS time, microseconds of the day
+        if approximate_time is not None:
+            utc = approximate_time.to_utc()
+            seconds = utc.hour * 3600 + utc.minute * 60 + utc.second
+            self._utc = gps_day(utc.year, utc.month, utc.day), seconds * 1_000_000 + utc.microsecond
         self._sigmas: tuple[str, float, float] = ("", _NAN, _NAN)  # time of day, horizontal and vertical sigma (m)
 
     def decode(self, frame: Frame) -> list[Message]:
         """Return the receiver's fix if this is a GGA sentence."""
         sentence = frame.kind[-3:]
+        if sentence not in _DECODED:
+            known = len(self.counters.ignored) < _MAX_KINDS
+            self.counters.ignored[f"nmea/{frame.kind}" if known else "nmea/other"] += 1
+            return []
         fields = frame.data[1 : frame.data.rfind(b"*")].decode("ascii", "replace").split(",")
         if sentence == "GGA":
             fix = self._gga(fields)
         elif sentence == "RMC":
             fix = self._rmc(fields)
-        elif sentence == "GST":
-            fix = self._gst(fields)
         else:
-            known = len(self.counters.ignored) < _MAX_KINDS
-            self.counters.ignored[f"nmea/{frame.kind}" if known else "nmea/other"] += 1
-            return []
+            fix = self._gst(fields)
         if fix is False:
             self.counters.rejected[f"nmea/{frame.kind} field"] += 1
             return []
@@ -48,11 +54,11 @@ class NmeaDecoder:
         clock, date = _time_of_day_s(fields[1]), fields[9]
         if clock is None or len(date) != 6 or not date.isdecimal():
             return fields[2] != "A"  # without a fix there need be no date
-        day, month, year = int(date[:2]), int(date[2:4]), int(date[4:])
         try:
-            self._utc = datetime(2000 + year, month, day, tzinfo=UTC) + timedelta(seconds=clock)
+            day = gps_day(2000 + int(date[4:]), int(date[2:4]), int(date[:2]))
         except ValueError:
             return False
+        self._utc = _later(day, clock)
         return True
 
     def _gst(self, fields: list[str]) -> bool:
@@ -84,10 +90,15 @@ class NmeaDecoder:
         clock_s = _time_of_day_s(clock)
         if clock_s is None or self._utc is None:
             return None
-        midnight = self._utc.replace(hour=0, minute=0, second=0, microsecond=0)
-        days = round(((self._utc - midnight).total_seconds() - clock_s) / SECONDS_PER_DAY)
-        self._utc = midnight + timedelta(days=days, seconds=clock_s)
-        return GpsTime.from_utc(self._utc)
+        day, time_of_day_us = self._utc
+        self._utc = _later(day + round((time_of_day_us / 1e6 - clock_s) / SECONDS_PER_DAY), clock_s)
+        return from_utc(*self._utc)
+
+
+def _later(day: int, seconds: float) -> tuple[int, int]:
+    """Return day and microseconds of the day of the instant so many seconds after a midnight (a leap second is the next day's first)."""
+    days, time_of_day_us = divmod(microseconds(seconds), _DAY_US)
+    return day + days, time_of_day_us
 
 
 def _number(text: str) -> float | None:

@@ -5,6 +5,7 @@ stream's own epochs. Until one is known observation messages wait (the newest ``
 """
 
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -13,12 +14,12 @@ from numpy.typing import NDArray
 from rtkmesh.codecs import rtcm3_legacy, rtcm3_station
 from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
 from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS as EPHEMERIDES
-from rtkmesh.codecs.rtcm3_ephemeris import decode_ephemeris
+from rtkmesh.codecs.rtcm3_ephemeris import EphemerisDecoder
 from rtkmesh.codecs.rtcm3_epochs import EpochGatherer
 from rtkmesh.codecs.rtcm3_legacy import LegacyDecoder
-from rtkmesh.codecs.rtcm3_msm import SYSTEM_OF_GROUP, Observations, decode_msm
+from rtkmesh.codecs.rtcm3_msm import SYSTEM_OF_GROUP, Part, decode_msm
 from rtkmesh.codecs.rtcm3_station import StationDecoder
-from rtkmesh.gnss.ephemeris import GlonassEphemeris
+from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.signals import NO_CHANNEL, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
@@ -31,13 +32,22 @@ _HALF_AN_ERA: Final = 512  # weeks
 OBSERVATIONS: Final = MSM | frozenset(rtcm3_legacy.NUMBERS)
 
 
-class Rtcm3Decoder:
-    """Decoder of one stream. ``approximate_time`` must be within three days of the stream's first epoch."""
+def _never(_: Ephemeris) -> bool:
+    return False
 
-    def __init__(self, approximate_time: GpsTime | None = None) -> None:
+
+class Rtcm3Decoder:
+    """Decoder of one stream. ``approximate_time`` must be within three days of the stream's first epoch.
+
+    An ephemeris that repeats the last one of its satellite is left out if ``is_known`` says so of that one (by default never).
+    """
+
+    def __init__(self, approximate_time: GpsTime | None = None, is_known: Callable[[Ephemeris], bool] = _never) -> None:
         self.counters = DecodingCounters()
         self._channels: NDArray[np.int8] = np.full(SATELLITES_PER_SYSTEM, NO_CHANNEL, np.int8)
         self._gatherer = EpochGatherer(approximate_time, self.counters.rejected)
+        self._ephemerides = EphemerisDecoder()
+        self._is_known = is_known
         self._legacy = LegacyDecoder(self._channels)
         self._stations = StationDecoder()
         self._held: deque[Frame] = deque()
@@ -59,7 +69,7 @@ class Rtcm3Decoder:
         if number in OBSERVATIONS:
             if self._gatherer.clock is None:
                 return self._hold(frame, kind)
-            held = self._release() if self._held else []
+            held = self._release() if self._held else ()
             return [*held, *self._observations(payload, number, kind)]
         if number in EPHEMERIDES:
             return self._ephemeris(payload, number, kind)
@@ -95,31 +105,32 @@ class Rtcm3Decoder:
         return messages
 
     def _observations(self, payload: bytes, number: int, kind: str) -> list[Epoch]:
-        observations = self._read_observations(payload, number, kind)
-        if observations is None:
+        part = self._read_observations(payload, number, kind)
+        if part is None:
             return []
         self.counters.decoded[kind] += 1
-        epochs = self._gatherer.add(kind, observations)
+        epochs = self._gatherer.add(kind, part)
         self.counters.epochs += len(epochs)
         return epochs
 
-    def _read_observations(self, payload: bytes, number: int, kind: str) -> Observations | None:
+    def _read_observations(self, payload: bytes, number: int, kind: str) -> Part | None:
+        """Decode a message into the gatherer's rows; return what it is, None if it was rejected."""
         if number not in MSM:
-            observations = self._legacy.decode(payload, number)
-            if observations is None:
+            part = self._legacy.decode(payload, number, self._gatherer.rows)
+            if part is None:
                 self.counters.rejected[f"{kind} too short"] += 1
-            return observations
-        result = decode_msm(payload, number, self._channels)
-        if result.observations is None:
-            self.counters.rejected[f"{kind} {result.reason}"] += 1
-        if result.unknown_cells:
-            self.counters.rejected[f"{kind} cell of unknown satellite or signal"] += result.unknown_cells
-        if result.unknown_channels:
-            self.counters.rejected[f"{kind} cell of unknown frequency channel"] += result.unknown_channels
-        return result.observations
+            return part
+        part, reason, unknown_cells, unknown_channels = decode_msm(payload, number, self._channels, self._gatherer.rows)
+        if part is None:
+            self.counters.rejected[f"{kind} {reason}"] += 1
+        if unknown_cells:
+            self.counters.rejected[f"{kind} cell of unknown satellite or signal"] += unknown_cells
+        if unknown_channels:
+            self.counters.rejected[f"{kind} cell of unknown frequency channel"] += unknown_channels
+        return part
 
     def _ephemeris(self, payload: bytes, number: int, kind: str) -> list[Message]:
-        ephemeris = decode_ephemeris(payload, number, self._gatherer.clock)
+        ephemeris, repeats = self._ephemerides.decode(payload, number, self._gatherer.clock, self._is_known)
         if isinstance(ephemeris, str):
             self.counters.rejected[f"{kind} {ephemeris}"] += 1
             return []
@@ -127,7 +138,7 @@ class Rtcm3Decoder:
         if isinstance(ephemeris, GlonassEphemeris):
             self._channels[ephemeris.satellite % SATELLITES_PER_SYSTEM] = ephemeris.channel
         self._learn_time(ephemeris.toe, number)
-        return [ephemeris, *self._release()]
+        return self._release() if repeats else [ephemeris, *self._release()]
 
     def _learn_time(self, toe: GpsTime, number: int) -> None:
         """Take the clock from ephemerides if none was given; a ten-bit week that proves to be of another era gives way."""

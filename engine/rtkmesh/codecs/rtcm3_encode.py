@@ -19,6 +19,8 @@ from rtkmesh.codecs.rtcm3_msm import (
     GROUP_OF_SYSTEM,
     HEADER_BITS,
     INVALID_ROUGH_MS,
+    LAST_EXTENDED_LOCK,
+    LOCK_S,
     MASK_SATELLITES,
     MAX_CELLS,
     MILLISECOND_M,
@@ -27,7 +29,6 @@ from rtkmesh.codecs.rtcm3_msm import (
     SIGNAL_OF_BIT,
     WIDTHS,
     Widths,
-    lock_time_s,
 )
 from rtkmesh.codecs.rtcm3_station import bias_payload, descriptor_payload, position_payload
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, SPEED_OF_LIGHT_MPS
@@ -48,7 +49,7 @@ def frame(payload: bytes) -> bytes:
     if len(payload) > MAX_PAYLOAD:
         raise ValueError(f"{len(payload)} bytes do not fit in an RTCM 3 frame")
     head = b"\xd3" + len(payload).to_bytes(2, "big") + payload
-    return head + crc24q(np.frombuffer(head, np.uint8)).to_bytes(3, "big")
+    return head + crc24q(head).to_bytes(3, "big")
 
 
 def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
@@ -124,8 +125,8 @@ def _bit_table() -> NDArray[np.int64]:
 _BIT_OF_SIGNAL: Final = _bit_table()
 _FIRST: Final = np.array(FIRST_SATELLITE)
 _LAST: Final = np.array(MASK_SATELLITES)
-_LOCK_4: Final = np.array([lock_time_s(i, False) for i in range(16)])
-_LOCK_10: Final = np.array([lock_time_s(i, True) for i in range(705)])
+_LOCK_4: Final = LOCK_S[0, :16]
+_LOCK_10: Final = LOCK_S[1, : LAST_EXTENDED_LOCK + 1]
 
 
 def _msm_payload(epoch: Epoch, rows: NDArray[np.intp], station_id: int, msm: int, *, more: bool) -> bytes:
@@ -155,7 +156,7 @@ def _fields(epoch: Epoch, satellite_index: NDArray[np.intp], widths: Widths) -> 
 
     The rough range is the middle of a satellite's pseudoranges (phase ranges, if there are none), so that all its fine values fit.
     """
-    carrier = carriers_hz(epoch.satellite, epoch.signal, epoch.channel)
+    carrier = _carriers_hz(epoch)
     wavelength_m = np.where(carrier > 0.0, SPEED_OF_LIGHT_MPS / np.where(carrier > 0.0, carrier, 1.0), np.nan)
     known = (_finite(epoch.pseudorange_m), _finite(epoch.phase_cyc * wavelength_m), _finite(-epoch.doppler_hz * wavelength_m))
     range_m, phase_m, rate_mps = known
@@ -204,8 +205,12 @@ def _lock_indicators(epoch: Epoch, widths: Widths) -> NDArray[np.int64]:
     return np.searchsorted(table, _finite(epoch.lock_s, 0.0) + 1e-9, side="right").astype(np.int64) - 1
 
 
+def _carriers_hz(epoch: Epoch) -> NDArray[np.float64]:
+    return carriers_hz(epoch.satellite.astype(np.int64), epoch.signal.astype(np.int64), epoch.channel.astype(np.int64))
+
+
 @kernel
-def carriers_hz(satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: NDArray[np.int8]) -> NDArray[np.float64]:
+def carriers_hz(satellite: NDArray[np.int64], signal: NDArray[np.int64], channel: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the carrier frequency (Hz) of each row, 0.0 where it is not known."""
     out = np.empty(len(satellite))
     for i in range(len(satellite)):
@@ -240,7 +245,7 @@ class PhaseLeveller:
     def level(self, epoch: Epoch) -> Epoch:
         """Return the epoch with shifted phases; where the shift had to change, lock time is 0 and SLIP is set."""
         index = epoch.satellite.astype(np.intp), epoch.signal.astype(np.intp)
-        carrier = carriers_hz(epoch.satellite, epoch.signal, epoch.channel)
+        carrier = _carriers_hz(epoch)
         with np.errstate(divide="ignore", invalid="ignore"):
             gap_cyc = epoch.phase_cyc - epoch.pseudorange_m * carrier / SPEED_OF_LIGHT_MPS
             before = self._shift_cyc[index]

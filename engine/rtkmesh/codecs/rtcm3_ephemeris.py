@@ -7,16 +7,18 @@ if the ephemeris can have been sent then, else toe.
 
 from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from math import ldexp
 from typing import Final
 
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, SISA_M, URA_M, Table, accuracy_index, accuracy_m
 from rtkmesh.codecs.bits import Coding, Field, Layout
 from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, QZSS_FIT_S, gps_fit_s
+from rtkmesh.codecs.utc import leap_seconds_of, moscow_hour, utc_year
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, PI_GPS, SECONDS_PER_DAY, SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
-from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s, nearest_week, resolve_week
+from rtkmesh.gnss.time import GpsTime, nearest_week, resolve_week
 
 # Without any other time, ten-bit weeks are taken to lie within 512 weeks of this one: 2019-04-07 to 2038-11-20.
 _GLONASS_ACCURACY_M: Final = 5.0  # satellites before GLONASS-M send no F_T
@@ -30,6 +32,7 @@ _BESIDE_MIDNIGHT_S: Final = 3600.0
 _SHIFT_WINDOW_S: Final = SECONDS_PER_DAY / 2.0  # toe is at most some hours from the transmission
 _U, _S, _M = Coding.UNSIGNED, Coding.TWOS_COMPLEMENT, Coding.SIGN_MAGNITUDE
 
+Values = Mapping[str, float]
 Row = tuple[str, int] | tuple[str, int, float] | tuple[str, int, float, Coding]
 
 
@@ -123,77 +126,105 @@ _GLONASS: Final = _layout("1020", (
     ("n4", 5), ("tau_gps_s", 22, _two(-30), _M), ("ln_5", 1), ("reserved", 7),
 ))  # fmt: skip
 
+# Bits of the week, number of its week 0, and GPST minus the system's time.
+_WEEKS: Final = {
+    1019: (10, 0, 0.0), 1042: (13, BDT_WEEK_OFFSET, -BDT_MINUS_GPST_S), 1044: (10, 0, 0.0), 1045: (12, GST_WEEK_OFFSET, 0.0),
+    1046: (12, GST_WEEK_OFFSET, 0.0),
+}  # fmt: skip
+
 LAYOUTS: Final = {1019: _GPS, 1020: _GLONASS, 1042: _BEIDOU, 1044: _QZSS, 1045: _FNAV, 1046: _INAV}
 
 
-def decode_ephemeris(payload: bytes, number: int, clock: GpsTime | None) -> Ephemeris | str:
-    """Return the ephemeris of a message, or the reason of its rejection.
+class EphemerisDecoder:
+    """Decoder of one stream. Most messages repeat the last one of their satellite, which it remembers."""
 
-    Without a ``clock`` the weeks of 1019 and 1044 are resolved in ``ERA``; the other systems' weeks are long enough.
-    """
-    layout = LAYOUTS[number]
-    spare = 8 * len(payload) - layout.bits
-    if spare < 0:
-        return "too short"
-    values = layout.read(int.from_bytes(payload, "big") >> spare)
-    return _DECODERS[number](values, clock)
+    def __init__(self) -> None:
+        self._last: dict[int, tuple[bytes, Values, Ephemeris]] = {}  # by number and slot
+
+    def decode(
+        self, payload: bytes, number: int, clock: GpsTime | None, is_known: Callable[[Ephemeris], bool]
+    ) -> tuple[Ephemeris | str, bool]:
+        """Return the ephemeris of a message, or the reason of its rejection, and whether there is nothing new in it.
+
+        Without a ``clock`` the weeks of 1019 and 1044 are resolved in ``ERA``; the other systems' weeks are long enough. A message has
+        nothing new if it repeats the last one of its satellite, whose ephemeris ``is_known`` says is the one that counts: then that is
+        returned, with its own time of transmission.
+        """
+        layout = LAYOUTS[number]
+        if 8 * len(payload) < layout.bits:
+            return "too short", False
+        key = number << 6 | (payload[1] & 15) << 2 | payload[2] >> 6
+        last = self._last.get(key)
+        if last is None or last[0] != payload:
+            values = layout.read_bytes(payload)
+        else:
+            _, values, before = last
+            if is_known(before) and _toe(number, values, clock) == before.toe:
+                return before, True
+        ephemeris = _DECODERS[number](values, clock)
+        if not isinstance(ephemeris, str):
+            self._last[key] = payload, values, ephemeris
+        return ephemeris, False
 
 
-def _decode_gps(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
-    week = resolve_week(int(v["week"]), 10, clock or ERA)
+def _toe(number: int, v: Values, clock: GpsTime | None) -> GpsTime | None:
+    """Return the toe of an ephemeris message whose values are in their ranges, None if its date is not known."""
+    if number == 1020:
+        return _glonass_time(v["tb_s"], v, clock)
+    bits, offset, shift_s = _WEEKS[number]
+    week = offset + resolve_week(int(v["week"]), bits, GpsTime((clock or ERA).week - offset, 0.0))
+    return _near_end_of_week(GpsTime.normalized(week, v["toe_s"] + shift_s), clock)
+
+
+def _decode_gps(v: Values, clock: GpsTime | None) -> Ephemeris | str:
     fit_s = gps_fit_s(int(v["iodc"])) if v["fit"] else GPS_FIT_S
-    return _kepler(GPS, v, (week, 0.0), clock, NavigationMessage.LNAV, fit_s, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd_s"], 0.0))
+    return _kepler(1019, GPS, v, clock, NavigationMessage.LNAV, fit_s, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd_s"], 0.0))
 
 
-def _decode_qzss(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
-    week = resolve_week(int(v["week"]), 10, clock or ERA)
-    return _kepler(
-        QZSS, v, (week, 0.0), clock, NavigationMessage.LNAV, QZSS_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd_s"], 0.0)
-    )
+def _decode_qzss(v: Values, clock: GpsTime | None) -> Ephemeris | str:
+    return _kepler(1044, QZSS, v, clock, NavigationMessage.LNAV, QZSS_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd_s"], 0.0))
 
 
-def _decode_beidou(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
-    week = BDT_WEEK_OFFSET + resolve_week(int(v["week"]), 13, GpsTime((clock or ERA).week - BDT_WEEK_OFFSET, 0.0))
+def _decode_beidou(v: Values, clock: GpsTime | None) -> Ephemeris | str:
     message = NavigationMessage.D2 if v["slot"] <= 5 or 59 <= v["slot"] <= 63 else NavigationMessage.D1
-    delays = (v["tgd1_s"], v["tgd2_s"])
-    return _kepler(BEIDOU, v, (week, -BDT_MINUS_GPST_S), clock, message, BEIDOU_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), delays)
+    return _kepler(1042, BEIDOU, v, clock, message, BEIDOU_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd1_s"], v["tgd2_s"]))
 
 
-def _decode_fnav(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+def _decode_fnav(v: Values, clock: GpsTime | None) -> Ephemeris | str:
     health = int(v["health_e5a"]) << 4 | int(v["invalid_e5a"]) << 3
-    return _galileo(v, health, clock, NavigationMessage.FNAV, (v["bgd_e5a_s"], 0.0))
+    return _galileo(1045, v, health, clock, NavigationMessage.FNAV, (v["bgd_e5a_s"], 0.0))
 
 
-def _decode_inav(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+def _decode_inav(v: Values, clock: GpsTime | None) -> Ephemeris | str:
     health = int(v["health_e5b"]) << 7 | int(v["invalid_e5b"]) << 6 | int(v["health_e1b"]) << 1 | int(v["invalid_e1b"])
-    return _galileo(v, health, clock, NavigationMessage.INAV, (v["bgd_e5a_s"], v["bgd_e5b_s"]))
+    return _galileo(1046, v, health, clock, NavigationMessage.INAV, (v["bgd_e5a_s"], v["bgd_e5b_s"]))
 
 
 def _galileo(
-    v: dict[str, float], health: int, clock: GpsTime | None, message: NavigationMessage, delays_s: tuple[float, float]
-) -> Ephemeris | str:
+    number: int, v: Values, health: int, clock: GpsTime | None, message: NavigationMessage, delays_s: tuple[float, float]
+) -> Ephemeris | str:  # fmt: skip
     """Health bits stand as in RINEX 3.05 table A8."""
-    week = GST_WEEK_OFFSET + resolve_week(int(v["week"]), 12, GpsTime((clock or ERA).week - GST_WEEK_OFFSET, 0.0))
-    v["iodc"], v["health"] = v["iode"], health
-    return _kepler(GALILEO, v, (week, 0.0), clock, message, GALILEO_FIT_S, accuracy_m(SISA_M, int(v["accuracy"])), delays_s)
+    v = {**v, "iodc": v["iode"], "health": health}
+    return _kepler(number, GALILEO, v, clock, message, GALILEO_FIT_S, accuracy_m(SISA_M, int(v["accuracy"])), delays_s)
 
 
 def _kepler(
-    system: int, v: Mapping[str, float], origin: tuple[int, float], clock: GpsTime | None, message: NavigationMessage,
-    fit_s: float, accuracy_m: float, group_delay_s: tuple[float, float],
+    number: int, system: int, v: Values, clock: GpsTime | None, message: NavigationMessage, fit_s: float, accuracy_m: float,
+    group_delay_s: tuple[float, float],
 ) -> Ephemeris | str:  # fmt: skip
-    """Return the ephemeris of decoded fields; ``origin`` is the week of toe and GPST minus the system's time."""
+    """Return the ephemeris of decoded fields."""
     if not 1 <= v["slot"] < SATELLITES_PER_SYSTEM or v["toe_s"] >= SECONDS_PER_WEEK or v["toc_s"] >= SECONDS_PER_WEEK:
         return "satellite or time out of range"
     if not (4000.0 < v["sqrt_a"] < 8192.0 and v["eccentricity"] < 0.5):
         return "no orbit"
-    toe = _near_end_of_week(GpsTime.normalized(origin[0], v["toe_s"] + origin[1]), clock)
+    toe = _toe(number, v, clock)
+    assert toe is not None, "only GLONASS may have no date"
     return KeplerEphemeris(
         satellite=system * SATELLITES_PER_SYSTEM + int(v["slot"]), message=message, iode=int(v["iode"]), iodc=int(v["iodc"]), toe=toe,
-        toc=nearest_week(v["toc_s"] + origin[1], toe), transmitted=_transmitted(toe, clock), health=int(v["health"]), accuracy_m=accuracy_m,
-        fit_s=fit_s, sqrt_a=v["sqrt_a"], eccentricity=v["eccentricity"], m0_rad=v["m0_rad"], delta_n_radps=v["delta_n_radps"],
-        omega0_rad=v["omega0_rad"], omega_rad=v["omega_rad"], omega_dot_radps=v["omega_dot_radps"], i0_rad=v["i0_rad"],
-        idot_radps=v["idot_radps"], cuc_rad=v["cuc_rad"], cus_rad=v["cus_rad"], crc_m=v["crc_m"], crs_m=v["crs_m"],
+        toc=nearest_week(v["toc_s"] + _WEEKS[number][2], toe), transmitted=_transmitted(toe, clock), health=int(v["health"]),
+        accuracy_m=accuracy_m, fit_s=fit_s, sqrt_a=v["sqrt_a"], eccentricity=v["eccentricity"], m0_rad=v["m0_rad"],
+        delta_n_radps=v["delta_n_radps"], omega0_rad=v["omega0_rad"], omega_rad=v["omega_rad"], omega_dot_radps=v["omega_dot_radps"],
+        i0_rad=v["i0_rad"], idot_radps=v["idot_radps"], cuc_rad=v["cuc_rad"], cus_rad=v["cus_rad"], crc_m=v["crc_m"], crs_m=v["crs_m"],
         cic_rad=v["cic_rad"], cis_rad=v["cis_rad"], af0_s=v["af0_s"], af1=v["af1"], af2=v["af2"], group_delay_s=group_delay_s,
     )  # fmt: skip
 
@@ -203,15 +234,16 @@ def _near_end_of_week(toe: GpsTime, clock: GpsTime | None) -> GpsTime:
     if clock is None:
         return toe
     near = nearest_week(toe.tow_s, clock)
-    other_side = near.week != clock.week or near.week != (clock + _LAG_S).week
-    return near if other_side and abs(near - clock) < _SHIFT_WINDOW_S and abs(near.week - toe.week) == 1 else toe
+    if abs(near.week - toe.week) != 1 or abs(near - clock) >= _SHIFT_WINDOW_S:
+        return toe
+    return near if near.week != clock.week or near.week != (clock + _LAG_S).week else toe
 
 
 def _transmitted(toe: GpsTime, clock: GpsTime | None) -> GpsTime:
     return clock if clock is not None and abs(clock - toe) < _SHIFT_WINDOW_S else toe
 
 
-def _decode_glonass(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | str:
+def _decode_glonass(v: Values, clock: GpsTime | None) -> Ephemeris | str:
     """Times of day are UTC + 3 h; the date is that of the clock, or N4 and NT where they are sent (GLONASS ICD 5.1, 4.4)."""
     radius2 = sum(v[f"position_{axis}_m"] ** 2 for axis in "xyz")
     if not 1 <= v["slot"] <= 27 or v["tb_s"] > SECONDS_PER_DAY or not 2.0e7**2 < radius2 < 3.2e7**2:
@@ -233,7 +265,7 @@ def _decode_glonass(v: dict[str, float], clock: GpsTime | None) -> Ephemeris | s
     )  # fmt: skip
 
 
-def _glonass_time(time_of_day_s: float, v: Mapping[str, float], clock: GpsTime | None) -> GpsTime | None:
+def _glonass_time(time_of_day_s: float, v: Values, clock: GpsTime | None) -> GpsTime | None:
     """Return the instant of a Moscow time of day: on the sent date unless the clock is more than two days from it.
 
     N4 is often zero, and sometimes junk; then the clock tells the four-year period.
@@ -242,25 +274,29 @@ def _glonass_time(time_of_day_s: float, v: Mapping[str, float], clock: GpsTime |
     if clock is None:
         return sent if sent is not None and v["n4"] >= _FIRST_PERIOD else None
     if sent is None or abs(sent - clock) > _SURE_S:
-        sent = _sent_date(time_of_day_s, v, (clock.to_utc().year - 1996) // 4 + 1)
+        sent = _sent_date(time_of_day_s, v, (utc_year(clock) - 1996) // 4 + 1)
     if sent is not None and abs(sent - clock) < _SURE_S:
         return _near_midnight(sent, clock)
-    return _near_time_of_day(time_of_day_s - 10800.0 + gps_minus_utc_s(clock), clock)
+    return _near_time_of_day(time_of_day_s - 10800.0 + leap_seconds_of(clock), clock)
 
 
-def _sent_date(time_of_day_s: float, v: Mapping[str, float], n4: int) -> GpsTime | None:
+def _sent_date(time_of_day_s: float, v: Values, n4: int) -> GpsTime | None:
     """Return the instant of a Moscow time of day on day NT of the four-year period ``n4`` (from 1 in 1996)."""
     if not (n4 and v["m"] and 1 <= v["nt_days"] <= 1461):
         return None
-    date = datetime(1996 + 4 * (n4 - 1), 1, 1, tzinfo=UTC) + timedelta(days=v["nt_days"] - 1.0)
+    return _of_moscow(n4, v["nt_days"], time_of_day_s)
+
+
+@lru_cache(maxsize=64)
+def _of_moscow(n4: int, nt_days: float, time_of_day_s: float) -> GpsTime:
+    date = datetime(1996 + 4 * (n4 - 1), 1, 1, tzinfo=UTC) + timedelta(days=nt_days - 1.0)
     return GpsTime.from_utc(date + timedelta(seconds=time_of_day_s - 10800.0))
 
 
 def _near_midnight(sent: GpsTime, clock: GpsTime) -> GpsTime:
     """Return the sent instant, moved by a day if that brings it, beside a midnight of Moscow, within an hour of the clock."""
     near = _near_time_of_day(sent.tow_s, clock)
-    moscow = near.to_utc() + timedelta(hours=3)
-    return near if abs(near - clock) < _BESIDE_MIDNIGHT_S and moscow.hour in (0, 23) else sent
+    return near if abs(near - clock) < _BESIDE_MIDNIGHT_S and moscow_hour(near) in (0, 23) else sent
 
 
 def _near_time_of_day(tow_s: float, near: GpsTime) -> GpsTime:
@@ -269,7 +305,7 @@ def _near_time_of_day(tow_s: float, near: GpsTime) -> GpsTime:
     return time + SECONDS_PER_DAY * round((near - time) / SECONDS_PER_DAY)
 
 
-_DECODERS: Final[dict[int, Callable[[dict[str, float], GpsTime | None], Ephemeris | str]]] = {
+_DECODERS: Final[dict[int, Callable[[Values, GpsTime | None], Ephemeris | str]]] = {
     1019: _decode_gps,
     1020: _decode_glonass,
     1042: _decode_beidou,

@@ -4,13 +4,15 @@ A message is ``header, satellite data, signal data``; signal data go field by fi
 is gathered from several places of the payload.
 """
 
-from typing import Final, NamedTuple
+from math import nan
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.codecs.bits import unsigned_bits
+from rtkmesh.codecs.bits import load_words, word_bits
+from rtkmesh.codecs.observation_rows import Rows
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE
 from rtkmesh.gnss.signals import (
@@ -53,8 +55,8 @@ _SIGNALS: Final = {
 }  # DF395 bit:RINEX code (tables 3.5-91 and following)
 
 
-def _signal_table() -> NDArray[np.int16]:
-    table = np.full((7, 33), -1, dtype=np.int16)
+def _signal_table() -> NDArray[np.int64]:
+    table = np.full((7, 33), -1, np.int64)
     for system, text in _SIGNALS.items():
         for entry in text.split():
             bit, code = entry.split(":")
@@ -83,17 +85,30 @@ WIDTHS: Final = {
     6: _widths([8, 0, 10, 0], [20, 24, 10, 1, 10, 0], [2.0**-29, 2.0**-31, 2.0**-4]),
     7: _widths([8, 4, 10, 14], [20, 24, 10, 1, 10, 15], [2.0**-29, 2.0**-31, 2.0**-4]),
 }  # by type (tables 3.5-80 to 3.5-90)
-_SIGNAL_ROWS: Final = tuple(SIGNAL_OF_BIT)
+
+
+def _by_type(index: int) -> NDArray[Any]:
+    """Return one part of WIDTHS as an array by type."""
+    parts = {level: widths[index] for level, widths in WIDTHS.items()}
+    table = np.zeros((8, len(parts[7])), parts[7].dtype)
+    for level, part in parts.items():
+        table[level] = part
+    return table
+
+
+SATELLITE_WIDTHS, CELL_WIDTHS, SCALES = (_by_type(index) for index in range(3))
+SATELLITE_BITS, CELL_BITS = SATELLITE_WIDTHS.sum(axis=1), CELL_WIDTHS.sum(axis=1)
 RATE_SCALE_MPS: Final = 1e-4  # DF404
 INVALID_RATE_MPS: Final = -8192  # DF399
 NO_EXTENDED: Final = 15  # DF419: channel not known
+LAST_EXTENDED_LOCK: Final = 704  # DF407
 
 OK, TOO_SHORT, TOO_MANY_CELLS = 0, 1, 2
 REASONS: Final = ("", "too short", "more than 64 cells")
 
 
-class Observations(NamedTuple):
-    """The observations of one message: ``tag`` is the raw epoch time field of its system, columns are as in ``Epoch``.
+class Part(NamedTuple):
+    """One observation message: ``tag`` is the raw epoch time field of its system, ``rows`` how many rows it wrote.
 
     ``more`` says that further messages of the same epoch follow. ``priority`` orders messages that hold the same signal.
     """
@@ -103,59 +118,30 @@ class Observations(NamedTuple):
     tag: int
     more: bool
     priority: int
-    cells: NDArray[np.int16]  # rows satellite, signal, channel, flags
-    values: NDArray[np.float64]  # rows pseudorange_m, phase_cyc, doppler_hz, cn0_dbhz, lock_s
+    rows: int
 
 
-class MsmResult(NamedTuple):
-    """A decoded message or the reason of its rejection, and how many of its cells could not be used (in full)."""
-
-    observations: Observations | None
-    reason: str
-    unknown_cells: int
-    unknown_channels: int
-
-
-@kernel
-def lock_time_s(indicator: int, extended: bool) -> float:
+def lock_time_s(indicator: int, *, extended: bool) -> float:
     """Return the minimum lock time (s) of DF402 or, extended, of DF407 (table 3.5-75); NaN for reserved values."""
     if not extended:
         return 0.0 if indicator == 0 else float(1 << (indicator + 4)) * 1e-3
     if indicator < 64:
         return indicator * 1e-3
-    if indicator > 704:
-        return np.nan
+    if indicator > LAST_EXTENDED_LOCK:
+        return nan
     k = indicator // 32 - 1
     return float((indicator - 32 * k) << k) * 1e-3
 
 
-@kernel
-def _set_bits(payload: NDArray[np.uint8], position: int, length: int, numbers: NDArray[np.int64]) -> int:
-    """Write the numbers (from 0) of the set bits of a mask to ``numbers`` and return how many there are."""
-    count = 0
-    for i in range(length):
-        if payload[(position + i) >> 3] & (0x80 >> ((position + i) & 7)):
-            numbers[count] = i
-            count += 1
-    return count
+def _lock_table() -> NDArray[np.float64]:
+    """Return lock times by [whether the field is the extended one][indicator]."""
+    table = np.full((2, 1 << 10), np.nan)
+    table[0, :16] = [lock_time_s(indicator, extended=False) for indicator in range(16)]
+    table[1] = [lock_time_s(indicator, extended=True) for indicator in range(1 << 10)]
+    return table
 
 
-@kernel
-def _read_columns(payload: NDArray[np.uint8], position: int, widths: NDArray[np.int64], raw: NDArray[np.int64]) -> int:
-    """Read fields that follow one another, each for all columns of ``raw``, as unsigned numbers; return the position behind."""
-    for field in range(len(widths)):
-        for i in range(raw.shape[1]):
-            raw[field, i] = unsigned_bits(payload, position, widths[field])
-            position += widths[field]
-    return position
-
-
-@kernel
-def _total(widths: NDArray[np.int64]) -> int:
-    total = 0
-    for width in widths:
-        total += width
-    return total
+LOCK_S: Final = _lock_table()
 
 
 @kernel
@@ -167,86 +153,116 @@ def _signed(code: int, width: int, scale: float) -> float:
 
 
 @kernel
-def _convert(
-    satellite: NDArray[np.int64], signal: NDArray[np.int64], widths: NDArray[np.int64], scales: NDArray[np.float64], wavelength_m: float,
-    out: NDArray[np.float64],
-) -> None:  # fmt: skip
-    """Turn the raw fields of a satellite and of one of its cells into a column of ``Observations.values``."""
-    rough_ms = np.nan if satellite[0] == INVALID_ROUGH_MS else satellite[0] + satellite[2] / 1024.0
-    out[0] = (rough_ms + _signed(signal[0], widths[0], scales[0])) * MILLISECOND_M
-    out[1] = (rough_ms + _signed(signal[1], widths[1], scales[1])) * MILLISECOND_M / wavelength_m
-    out[2] = -(_signed(satellite[3], 14, 1.0) + _signed(signal[5], widths[5], RATE_SCALE_MPS)) / wavelength_m
-    out[3] = signal[4] * scales[2] if signal[4] else np.nan
-    out[4] = lock_time_s(signal[2], widths[2] == 10)
+def _satellite_fields(words: NDArray[np.int64], at: int, n_sat: int, widths: NDArray[np.int64], i: int) -> tuple[float, float, int]:
+    """Return rough range (ms), rough rate (m/s) and extended information of satellite ``i``; each field comes for all satellites."""
+    whole_ms = word_bits(words, at + widths[0] * i, widths[0])
+    at += widths[0] * n_sat
+    extended = word_bits(words, at + widths[1] * i, widths[1]) if widths[1] else NO_EXTENDED
+    at += widths[1] * n_sat
+    rough_ms = np.nan if whole_ms == INVALID_ROUGH_MS else whole_ms + word_bits(words, at + widths[2] * i, widths[2]) / 1024.0
+    at += widths[2] * n_sat
+    rough_mps = _signed(word_bits(words, at + widths[3] * i, widths[3]), widths[3], 1.0) if widths[3] else 0.0
+    return rough_ms, rough_mps, extended
 
 
 @kernel
-def _channel(system: int, number: int, extended: int, channels: NDArray[np.int8]) -> int:
-    """Return the GLONASS frequency channel, learning it from DF419 into ``channels``; NO_CHANNEL where unknown."""
-    if system != GLONASS:
-        return NO_CHANNEL
-    if extended <= 13:
-        channels[number] = extended - 7
-    return int(channels[number])
+def _find_cells(
+    words: NDArray[np.int64], bits: int, satellite_bits: int, cell_bits: int, masks: NDArray[np.int64]
+) -> tuple[int, int, int, int]:
+    """Read the masks of satellites, signals and cells to the rows of ``masks``; return a status and how many of each there are.
+
+    ``bits`` is the payload's length, ``satellite_bits`` and ``cell_bits`` are those of the data of one satellite and one cell.
+    """
+    if bits < HEADER_BITS:
+        return TOO_SHORT, 0, 0, 0
+    counts, at, length = np.empty(3, np.int64), 73, 64  # DF394; then DF395 and DF396
+    for mask in range(3):
+        counts[mask] = 0
+        for i in range(length):
+            if words[(at + i) >> 5] >> (31 - (at + i & 31)) & 1:
+                masks[mask, counts[mask]] = i
+                counts[mask] += 1
+        at, length = at + length, 32
+        if mask == 1:
+            length = counts[0] * counts[1]
+            if length > MAX_CELLS:
+                return TOO_MANY_CELLS, 0, 0, 0
+            if bits < HEADER_BITS + length:
+                return TOO_SHORT, 0, 0, 0
+    n_sat, n_sig, n_cell = counts[0], counts[1], counts[2]
+    if bits < HEADER_BITS + n_sat * n_sig + n_sat * satellite_bits + n_cell * cell_bits:
+        return TOO_SHORT, 0, 0, 0
+    return OK, n_sat, n_sig, n_cell
 
 
 @kernel
 def decode_cells(
-    payload: NDArray[np.uint8], system: int, signals: NDArray[np.int16], channels: NDArray[np.int8], satellite_widths: NDArray[np.int64],
-    widths: NDArray[np.int64], scales: NDArray[np.float64], cells: NDArray[np.int16], values: NDArray[np.float64], tally: NDArray[np.int64],
-) -> int:  # fmt: skip
-    """Decode the cells of one MSM payload and return a status.
+    payload: bytes, system: int, level: int, channels: NDArray[np.int8], cells: NDArray[np.int16], values: NDArray[np.float64], row: int
+) -> tuple[int, int, int, int, int]:  # fmt: skip
+    """Decode one MSM payload of type ``level`` into rows of ``cells`` and ``values`` (see observation_rows) from ``row`` on.
 
-    ``signals`` is the system's row of SIGNAL_OF_BIT, ``channels`` the GLONASS channels by slot (read and learned), then come the type's
-    WIDTHS. Out: ``cells`` (4, 64), ``values`` (5, 64) as in Observations and ``tally``: rows written (a cell without any valid value
-    gives none), cells of unknown signal or satellite, cells without phase for want of a GLONASS channel.
+    ``channels`` are the GLONASS channels by slot (read and learned). Returns a status, the rows written (a cell without any valid value
+    gives none), the cells of unknown signal or satellite, those without phase for want of a GLONASS channel, and the head of the payload
+    (its first 64 bits without the message number: station, epoch time, more to come, the rest).
     """
-    masks = np.empty((3, 64), np.int64)
-    if 8 * len(payload) < HEADER_BITS:
-        return TOO_SHORT
-    n_sat, n_sig = _set_bits(payload, 73, 64, masks[0]), _set_bits(payload, 137, 32, masks[1])
-    if n_sat * n_sig > MAX_CELLS:
-        return TOO_MANY_CELLS
-    position = HEADER_BITS + n_sat * n_sig
-    if 8 * len(payload) < position:
-        return TOO_SHORT
-    n_cell = _set_bits(payload, HEADER_BITS, n_sat * n_sig, masks[2])
-    if 8 * len(payload) < position + n_sat * _total(satellite_widths) + n_cell * _total(widths):
-        return TOO_SHORT
-    raw_satellite, raw = np.empty((4, n_sat), np.int64), np.empty((6, n_cell), np.int64)
-    position = _read_columns(payload, position, satellite_widths, raw_satellite)
-    _read_columns(payload, position, widths, raw)
-    row, unknown, phaseless = 0, 0, 0
+    words, masks = load_words(payload), np.empty((3, MAX_CELLS), np.int64)
+    of_satellite, widths, scales = SATELLITE_WIDTHS[level], CELL_WIDTHS[level], SCALES[level]
+    status, n_sat, n_sig, n_cell = _find_cells(words, 8 * len(payload), SATELLITE_BITS[level], CELL_BITS[level], masks)
+    if status != OK:
+        return status, 0, 0, 0, 0
+    at_satellites = HEADER_BITS + n_sat * n_sig
+    at_code = at_satellites + n_sat * SATELLITE_BITS[level]
+    at_phase = at_code + n_cell * widths[0]
+    at_lock = at_phase + n_cell * widths[1]
+    at_half = at_lock + n_cell * widths[2]
+    at_cn0 = at_half + n_cell * widths[3]
+    at_rate = at_cn0 + n_cell * widths[4]
+    first, last, unknown, phaseless, rough_ms, rough_mps, extended = row, -1, 0, 0, 0.0, 0.0, NO_EXTENDED
     for cell in range(n_cell):
-        i, number = masks[2, cell] // n_sig, masks[0, masks[2, cell] // n_sig] + 1
-        signal = int(signals[masks[1, masks[2, cell] % n_sig] + 1])
+        i = masks[2, cell] // n_sig
+        number, signal = masks[0, i] + 1, int(SIGNAL_OF_BIT[system, masks[1, masks[2, cell] - i * n_sig] + 1])
         if number > MASK_SATELLITES[system] or signal < 0:
             unknown += 1
             continue
         number += FIRST_SATELLITE[system]
-        satellite = system * SATELLITES_PER_SYSTEM + number
-        channel = _channel(system, number, raw_satellite[1, i] if satellite_widths[1] else NO_EXTENDED, channels)
+        if i != last:
+            rough_ms, rough_mps, extended = _satellite_fields(words, at_satellites, n_sat, of_satellite, i)
+            last = i
+        satellite, channel = system * SATELLITES_PER_SYSTEM + number, NO_CHANNEL
+        if system == GLONASS:
+            if extended <= 13:  # DF419
+                channels[number] = extended - 7
+            channel = int(channels[number])
         carrier = carrier_hz(satellite, signal, channel)
         phaseless += 1 if carrier == 0.0 else 0
         wavelength_m = SPEED_OF_LIGHT_MPS / carrier if carrier > 0.0 else np.nan
-        _convert(raw_satellite[:, i], raw[:, cell], widths, scales, wavelength_m, values[:, row])
-        cells[0, row], cells[1, row], cells[2, row], cells[3, row] = satellite, signal, channel, HALF_CYCLE if raw[3, cell] else 0
-        if not (np.isnan(values[0, row]) and np.isnan(values[1, row]) and np.isnan(values[2, row])):
+        code = _signed(word_bits(words, at_code + widths[0] * cell, widths[0]), widths[0], scales[0])
+        phase = _signed(word_bits(words, at_phase + widths[1] * cell, widths[1]), widths[1], scales[1])
+        rate = _signed(word_bits(words, at_rate + widths[5] * cell, widths[5]), widths[5], RATE_SCALE_MPS)
+        cn0 = word_bits(words, at_cn0 + widths[4] * cell, widths[4])
+        values[row, 0] = (rough_ms + code) * MILLISECOND_M
+        values[row, 1] = (rough_ms + phase) * MILLISECOND_M / wavelength_m
+        values[row, 2] = -(rough_mps + rate) / wavelength_m
+        values[row, 3] = cn0 * scales[2] if cn0 else np.nan
+        values[row, 4] = LOCK_S[1 if widths[2] == 10 else 0, word_bits(words, at_lock + widths[2] * cell, widths[2])]
+        cells[row, 0], cells[row, 1], cells[row, 2], cells[row, 4] = satellite, signal, channel, MSM_PRIORITY
+        cells[row, 3] = HALF_CYCLE if word_bits(words, at_half + cell, widths[3]) else 0
+        if not (np.isnan(values[row, 0]) and np.isnan(values[row, 1]) and np.isnan(values[row, 2])):
             row += 1
-    tally[0], tally[1], tally[2] = row, unknown, phaseless
-    return OK
+    return OK, row - first, unknown, phaseless, (words[0] & 0xFFFFF) << 32 | words[1]
 
 
-def decode_msm(payload: bytes, number: int, channels: NDArray[np.int8]) -> MsmResult:
-    """Decode the payload of MSM4 to MSM7 message ``number``; GLONASS ``channels`` (int8 by slot, 64) are read and learned."""
-    system, level = SYSTEM_OF_GROUP[number // 10], number % 10
-    cells, values, tally = np.empty((4, MAX_CELLS), np.int16), np.empty((5, MAX_CELLS)), np.empty(3, np.int64)
-    view = np.frombuffer(payload, np.uint8)
-    status = decode_cells(view, system, _SIGNAL_ROWS[system], channels, *WIDTHS[level], cells, values, tally)
+def decode_msm(payload: bytes, number: int, channels: NDArray[np.int8], rows: Rows) -> tuple[Part | None, str, int, int]:
+    """Decode the payload of MSM4 to MSM7 message ``number`` into ``rows``, behind those in use.
+
+    GLONASS ``channels`` (int8 by slot, 64) are read and learned. Returns the message or the reason of its rejection, and how many of its
+    cells were of unknown satellites or signals, and how many without phase for want of a channel.
+    """
+    system, first = SYSTEM_OF_GROUP[number // 10], rows.reserve()
+    status, count, unknown_cells, unknown_channels, head = decode_cells(
+        payload, system, number % 10, channels, rows.cells, rows.values, first
+    )  # fmt: skip
     if status != OK:
-        return MsmResult(None, REASONS[status], 0, 0)
-    head = int.from_bytes(payload[:8], "big")
-    rows, unknown_cells, unknown_channels = tally.tolist()
-    more, tag, station_id = bool((head >> 9) & 1), (head >> 10) & 0x3FFFFFFF, (head >> 40) & 0xFFF
-    observations = Observations(system, station_id, tag, more, MSM_PRIORITY, cells[:, :rows], values[:, :rows])
-    return MsmResult(observations, "", unknown_cells, unknown_channels)
+        return None, REASONS[status], 0, 0
+    part = Part(system, head >> 40, head >> 10 & 0x3FFFFFFF, bool(head >> 9 & 1), MSM_PRIORITY, count)
+    return part, "", unknown_cells, unknown_channels

@@ -52,11 +52,22 @@ class StationDecoder:
     def __init__(self) -> None:
         self._stations = _Newest[ReferenceStation]()
         self._biases = _Newest[GlonassBias]()
+        self._repeated: dict[int, bytes] = {}  # by number: a message that changed nothing, nor does it until another one does
 
     def decode(self, payload: bytes, number: int) -> ReferenceStation | GlonassBias | str | None:
         """Return what changed, None if nothing did, or the reason of the message's rejection."""
+        if self._repeated.get(number) == payload:
+            return None
         if len(payload) < 3:
             return "too short"
+        changed = self._changed(payload, number)
+        if changed is None:
+            self._repeated[number] = payload
+        elif not isinstance(changed, str):
+            self._repeated.clear()
+        return changed
+
+    def _changed(self, payload: bytes, number: int) -> ReferenceStation | GlonassBias | str | None:
         station_id = int.from_bytes(payload[1:3], "big") & 0xFFF
         if number == 1230:
             return self._changed_bias(_decode_bias(payload, station_id))

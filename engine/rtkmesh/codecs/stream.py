@@ -11,6 +11,8 @@ from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import groupby
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
@@ -19,8 +21,8 @@ from rtkmesh.codecs.framing import FRAMED, Framer
 from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message, Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
-from rtkmesh.codecs.ubx import UbxDecoder
-from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix
+from rtkmesh.codecs.ubx import SFRBX, UbxDecoder
+from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix
 from rtkmesh.gnss.epoch import SLIP, Epoch
 from rtkmesh.gnss.time import GpsTime
 
@@ -52,6 +54,7 @@ _NEW_TIMELINE: Final = 5  # so many rising epochs in the past mean that the cloc
 _TO_PREFERRED: Final = 3  # epochs of UBX after which it is taken instead of RTCM 3
 _TO_OTHER: Final = 30  # epochs of RTCM 3 without one of UBX between after which UBX counts as gone
 _TELL_TIME_S: Final = 3600.0
+_KIND: Final = attrgetter("kind")
 _OTHER_SOURCE: Final = "of the other source"
 
 
@@ -118,7 +121,7 @@ class StreamDecoder:
         options = options or StreamOptions()
         self._framer = Framer(options.protocols)
         self._ubx = UbxDecoder(options.approximate_time)
-        self._rtcm3 = Rtcm3Decoder(options.approximate_time)
+        self._rtcm3 = Rtcm3Decoder(options.approximate_time, self._is_published)
         self._nmea = NmeaDecoder(options.approximate_time)
         self._timeline = Timeline(ObservationSource(options.observations))
         self._told: GpsTime | None = None
@@ -153,12 +156,23 @@ class StreamDecoder:
 
     def feed(self, data: bytes) -> list[tuple[Frame, list[Message]]]:
         """Return the frames that are whole with these further bytes, each with the messages that it completes."""
-        return [(frame, self._decode(frame)) for frame in self._framer.feed(data)]
+        return self._decode_all(self._framer.feed(data))
 
     def flush(self) -> list[Message]:
         """End the stream: return what was still waiting."""
-        messages = [message for frame in self._framer.flush() for message in self._decode(frame)]
+        messages = [message for _, found in self._decode_all(self._framer.flush()) for message in found]
         return messages + self._pass_on(self._rtcm3.flush(), Protocol.RTCM3)
+
+    def _decode_all(self, frames: list[Frame]) -> list[tuple[Frame, list[Message]]]:
+        found: list[tuple[Frame, list[Message]]] = []
+        for kind, same in groupby(frames, _KIND):
+            if kind == SFRBX:
+                run = list(same)
+                lists = self._ubx.decode_subframes(run)
+                found += [(frame, self._pass_on(some, Protocol.UBX) if some else some) for frame, some in zip(run, lists, strict=True)]
+            else:
+                found += [(frame, self._decode(frame)) for frame in same]
+        return found
 
     def _decode(self, frame: Frame) -> list[Message]:
         if frame.protocol is Protocol.UBX:
@@ -214,15 +228,24 @@ class StreamDecoder:
         self._latest[key] = message
         return True
 
-    def _is_new_ephemeris(self, e: KeplerEphemeris | GlonassEphemeris) -> bool:
-        if isinstance(e, GlonassEphemeris):
-            key, identity = (e.satellite, 0), (e.iode, e.toe, e.health, e.tau_s, e.channel)
-        else:
-            key, identity = (e.satellite, int(e.message)), (e.iode, e.iodc, e.toe, e.toc, e.health, e.af0_s)
+    def _is_new_ephemeris(self, e: Ephemeris) -> bool:
+        key, identity = _identity(e)
         if self._published.get(key) == identity:
             return False
         self._published[key] = identity
         return True
+
+    def _is_published(self, e: Ephemeris) -> bool:
+        """Return whether the ephemeris that was passed on last for its satellite and message is this one."""
+        key, identity = _identity(e)
+        return self._published.get(key) == identity
+
+
+def _identity(e: Ephemeris) -> tuple[tuple[int, int], tuple[object, ...]]:
+    """Return what an ephemeris replaces (satellite and message), and what tells it from others."""
+    if isinstance(e, GlonassEphemeris):
+        return (e.satellite, 0), (e.iode, e.toe, e.health, e.tau_s, e.channel)
+    return (e.satellite, int(e.message)), (e.iode, e.iodc, e.toe, e.toc, e.health, e.af0_s)
 
 
 def _with_all_slipped(epoch: Epoch) -> Epoch:

@@ -39,7 +39,6 @@ _LNAV_HEADER: Final = (
 )
 
 LNAV_PREAMBLE: Final = 0x8B
-LNAV_HEADER: Final = Layout("LNAV header", 300, _LNAV_HEADER)
 LNAV: Final = {
     1: Layout("LNAV subframe 1", 300, (
         *_LNAV_HEADER,
@@ -101,7 +100,6 @@ LNAV: Final = {
 _INAV_HEADER: Final = (Field("word", ((0, 6),)),)
 _INAV_ISSUE: Final = (*_INAV_HEADER, Field("iodnav", ((6, 10),)))
 
-INAV_HEADER: Final = Layout("I/NAV header", 128, _INAV_HEADER)
 INAV: Final = {
     0: Layout("I/NAV word 0", 128, (*_INAV_HEADER, Field("time", ((6, 2),)), Field("week", ((96, 12),)), Field("tow_s", ((108, 20),)))),
     1: Layout("I/NAV word 1", 128, (
@@ -181,7 +179,6 @@ _BEIDOU_HEADER: Final = (
 )
 
 BEIDOU_PREAMBLE: Final = 0x712
-BEIDOU_HEADER: Final = Layout("D1/D2 header", 300, _BEIDOU_HEADER)
 _TENTH_NANOSECOND: Final = 1e-10
 
 D1: Final = {
@@ -294,6 +291,7 @@ def _string(high: int, low: int) -> tuple[Part]:
 
 _STRING_HEADER: Final = (Field("string", _string(84, 81)),)
 _KM: Final = 1e3
+GLONASS_TB_UNIT_S: Final = 900.0
 
 
 def _state(axis: str) -> tuple[Field, ...]:
@@ -304,7 +302,6 @@ def _state(axis: str) -> tuple[Field, ...]:
     )
 
 
-GLONASS_HEADER: Final = Layout("GLONASS header", 85, _STRING_HEADER)
 GLONASS_STRING: Final = {
     1: Layout("GLONASS string 1", 85, (
         *_STRING_HEADER,
@@ -318,7 +315,7 @@ GLONASS_STRING: Final = {
         *_STRING_HEADER,
         Field("health", _string(80, 78)),  # Bn: only the most significant bit is the user's
         Field("p2", _string(77, 77)),
-        Field("tb_s", _string(76, 70), 900.0),  # Moscow time of day
+        Field("tb_s", _string(76, 70), GLONASS_TB_UNIT_S),  # Moscow time of day
         *_state("y"),
     )),
     3: Layout("GLONASS string 3", 85, (
@@ -360,10 +357,10 @@ def _check_masks() -> tuple[int, ...]:
     return tuple(sum(1 << bit for bit, position in enumerate(positions) if position >> k & 1) for k in range(7))
 
 
-_CHECK_MASKS: Final = _check_masks()
+GLONASS_CHECK_MASKS: Final = _check_masks()
 
 
 def glonass_check_bits(data: int) -> int:
     """Return the check bits 8 to 1 of a string's 77 data bits 85 to 9 (GLONASS ICD 5.1, 4.7, table 4.13)."""
-    hamming = sum(((data & mask).bit_count() & 1) << k for k, mask in enumerate(_CHECK_MASKS))
+    hamming = sum(((data & mask).bit_count() & 1) << k for k, mask in enumerate(GLONASS_CHECK_MASKS))
     return hamming | ((data.bit_count() + hamming.bit_count()) & 1) << 7

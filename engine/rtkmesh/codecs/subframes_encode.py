@@ -7,8 +7,6 @@ with their two codes one after the other). ``sent`` is the start of the (30 s) f
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-import numpy as np
-
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, SISA_M, URA_M, accuracy_index
 from rtkmesh.codecs.bits import Coding, Field, Layout
 from rtkmesh.codecs.checksums import crc24q
@@ -146,7 +144,7 @@ def inav_page(word: int) -> int:
     # Data bits 1 to 112 from bit 2 of the page, the other 16 from bit 130; bit 128 marks the odd part.
     page = (word >> 16) << (256 - 114) | 1 << (256 - 129) | (word & 0xFFFF) << (256 - 146)
     covered = next(INAV_PAGE.number(page, field) for field in INAV_PAGE.fields if field.name == "covered")
-    return page | crc24q(np.frombuffer(covered.to_bytes(25, "big"), np.uint8)) << (256 - 234)
+    return page | crc24q(covered.to_bytes(25, "big")) << (256 - 234)
 
 
 def beidou_parity(info: int) -> int:

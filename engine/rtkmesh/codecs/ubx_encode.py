@@ -58,7 +58,7 @@ _GNSS_OF, _FIRST_SV, _SIG_OF = _tables()
 def frame(message_class: int, message_id: int, payload: bytes) -> bytes:
     """Return the frame of a payload (interface description 3.2)."""
     body = bytes((message_class, message_id)) + len(payload).to_bytes(2, "little") + payload
-    return b"\xb5\x62" + body + fletcher16(np.frombuffer(body, np.uint8)).to_bytes(2, "little")
+    return b"\xb5\x62" + body + fletcher16(body).to_bytes(2, "little")
 
 
 def encode_rawx(epoch: Epoch, *, clock_reset: bool = False, half_cycle_subtracted: NDArray[np.bool_] | None = None) -> bytes:
