@@ -35,7 +35,10 @@ def decode(frames: list[bytes], near: GpsTime = TIME) -> list[Message]:
 
 @st.composite
 def epochs(draw: st.DrawFn) -> Epoch:
-    """Epochs of any systems, with values that are missing here and there, phases within 1 km and codes within 140 m of a range."""
+    """Epochs of any systems, with values that are missing here and there, codes within 140 m of a range, phases within 350 m of a code.
+
+    Phases of a satellite without a code are sent against the first of them, and the field for what is left ends at 1171 m.
+    """
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     rows = [
         (system, number, int(signal))
@@ -53,7 +56,7 @@ def epochs(draw: st.DrawFn) -> Epoch:
     return make_epoch(
         TIME, satellite=satellite, signal=signal, channel=channel, flags=rng.choice((0, HALF_CYCLE), len(rows)),
         pseudorange_m=np.where(missing[0], np.nan, range_m),
-        phase_cyc=np.where(missing[1], np.nan, (range_m + rng.uniform(-600.0, 600.0, len(rows))) * carrier / SPEED_OF_LIGHT_MPS),
+        phase_cyc=np.where(missing[1], np.nan, (range_m + rng.uniform(-350.0, 350.0, len(rows))) * carrier / SPEED_OF_LIGHT_MPS),
         doppler_hz=np.where(missing[2], np.nan, -rate_mps * carrier / SPEED_OF_LIGHT_MPS),
         cn0_dbhz=np.where(missing[3], np.nan, rng.uniform(10.0, 60.0, len(rows))), lock_s=rng.uniform(0.0, 6.9e4, len(rows)),
     )  # fmt: skip
