@@ -101,11 +101,6 @@ class EphemerisTable:
         """Return the GLONASS frequency channel per satellite; NO_CHANNEL where not known."""
         return self._channel[satellites]
 
-    @property
-    def channel_by_satellite(self) -> NDArray[np.int8]:
-        """The GLONASS frequency channel per satellite number; NO_CHANNEL where not known. Not to be written to."""
-        return self._channel
-
     def __len__(self) -> int:
         return int(self._count.sum())
 

@@ -52,7 +52,7 @@ def try_new(
         found = search_all(aided, candidates, setup)
         best = found if found.odds > best.odds else best
     if not _strong(best, 0.0, setup) and len(candidates.row) > 1:
-        other = _best_subset(f, candidates, setup, time_s)
+        other = _best_subset(f, candidates, free, setup, time_s)
         if other.odds > best.odds:
             best, penalty = other, log(SUBSET_TRIES)
         if len(everything.row) > len(candidates.row):
@@ -87,10 +87,12 @@ def search_all(f: Filter, candidates: Candidates, setup: ResolveSetup) -> Search
 
 
 @kernel
-def _best_subset(f: Filter, candidates: Candidates, setup: ResolveSetup, time_s: float) -> Search:
-    """Search without the newest ambiguities, and without each of the weakest satellites in turn; return the one with the best odds."""
+def _best_subset(f: Filter, candidates: Candidates, free: Search, setup: ResolveSetup, time_s: float) -> Search:
+    """Search without the newest ambiguities, and without each of the weakest satellites in turn; return the one with the best odds, or the
+    ``free`` search of all.
+    """
     n = len(candidates.row)
-    best, mask, tries = search(f, take(candidates, np.zeros(n, np.bool_)), setup.length_m, setup.length_sigma_m), np.empty(n, np.bool_), 0
+    best, mask, tries = free, np.empty(n, np.bool_), 0
     for age_s in NEW_S:
         for k in range(n):
             mask[k] = time_s - f.history[candidates.row[k], ARC_S] > age_s

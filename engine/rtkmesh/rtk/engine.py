@@ -178,11 +178,8 @@ class Rtk:
         state = self._state
         if state is not None:
             dt = (rover.time - state.origin) - state.time_s
-            if not 0.0 <= dt <= _FORGET_S:
+            if not 0.0 <= dt <= _FORGET_S or not self._advance(state, dt, single) or self._astray(state, single):
                 self.reset()
-            else:
-                if not self._advance(state, dt, single) or self._astray(state, single):
-                    self.reset()
         state = self._state
         if state is None:
             if single.status != CONVERGED and self.options.mode is not Mode.FIXED:
