@@ -287,7 +287,7 @@ def lay_out(before: Filter, d: Differences, times_s: Vector, slips: SlipSetup, w
     f = use_keys(before, wanted, times_s[0], max(slips.maximum_gap_s, 2.5 * dt if known_step else 0.0))
     ambiguity, ionosphere, inflation = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
     find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere == 2, ambiguity, ionosphere)
-    begin_shared(f, walks, times_s[0])
+    begin_shared(f, walks, times_s[0], ionosphere)
     slip, jump, motion, motion_cov = np.zeros(n, np.int64), np.zeros(n), np.zeros(3), np.zeros((3, 3))
     redundancy = find_slips(d, f.history, ambiguity, times_s, slips, slip, jump, motion, motion_cov)
     apply_slips(f.x, f.P, f.history, ambiguity, slip, jump, DYNAMIC, times_s[0])
@@ -298,12 +298,18 @@ def lay_out(before: Filter, d: Differences, times_s: Vector, slips: SlipSetup, w
 
 
 @kernel
-def begin_shared(f: Filter, walks: Walks, time_s: float) -> None:
-    """Give a value to new states of the atmosphere and of the GLONASS slope; all of them count as seen."""
+def begin_shared(f: Filter, walks: Walks, time_s: float, ionosphere: Indices) -> None:
+    """Give a value to new states of the atmosphere and of the GLONASS slope; those of this epoch's satellites (``ionosphere``) and of none
+    count as seen.
+    """
+    for k in ionosphere:
+        if k >= 0:
+            f.history[k, SEEN_S] = time_s
     for i in range(len(f.keys)):
         if f.keys[i] >= FIRST_PAIR_KEY:
             return
-        f.history[i, SEEN_S] = time_s
+        if f.keys[i] == ZENITH_KEY or f.keys[i] == SLOPE_KEY:
+            f.history[i, SEEN_S] = time_s
         if f.history[i, ARC_EPOCHS] >= 0.0:
             continue
         value, sigma = 0.0, walks.ionosphere_sigma_m

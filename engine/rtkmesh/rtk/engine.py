@@ -28,7 +28,7 @@ from rtkmesh.rtk.report import IS_FIXED, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.solution import Reason, Solution
-from rtkmesh.rtk.state import FilterState, length_m, trace
+from rtkmesh.rtk.state import FilterState, length_m, new_filter, trace
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -69,6 +69,7 @@ class Rtk:
         self.options = options
         self._state: FilterState | None = None
         self._scale = new_code_scale()
+        self._informed_scale = new_code_scale()
         self._memory = new_memory()
         self._prediction = np.full(7, nan)
         self._resets = 0
@@ -190,6 +191,7 @@ class Rtk:
         if shift.any():
             if self.options.mode is not Mode.MOVING_BASE:
                 state.filter.x[:3] -= shift
+                state.informed.x[:3] -= shift
             state.base_ecef_m = base_ecef_m.copy()
             state.base_s = nan
         return state
@@ -199,7 +201,8 @@ class Rtk:
         fixed = self.options.fixed_position_ecef_m if self.options.mode is Mode.FIXED else None
         start = single.position_ecef_m if fixed is None else np.array(fixed)
         sigmas = _SEED_MOVING if self._moves else _SEED_STANDING
-        seed(state.filter, start - state.base_ecef_m, sigmas if fixed is None else _SEED_FIXED)
+        for one in (state.filter, state.informed):
+            seed(one, start - state.base_ecef_m, sigmas if fixed is None else _SEED_FIXED)
 
     def _advance(self, state: FilterState, dt: float, single: Located) -> bool:
         """Move the state on by ``dt`` seconds; return whether it is still finite."""
@@ -209,6 +212,8 @@ class Rtk:
             self._seed(state, single)
             moves = False
         walks = walks_of(self._setup, state.baseline_m, self._memory)
+        if len(state.informed.keys) and not advance(state.informed, dt, moves, self._motion, state.base_ecef_m, walks, _SEED_MOVING):
+            state.informed = new_filter()
         return advance(state.filter, dt, moves, self._motion, state.base_ecef_m, walks, _SEED_MOVING)
 
     def _astray(self, state: FilterState, single: Located) -> bool:
@@ -224,21 +229,23 @@ class Rtk:
         base_s = base.time - state.origin
         known = Known(
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, self._prediction,
-            self._memory, self._scale, *self._velocity(singles),
+            self._memory, self._scale, *self._velocity(singles), self._informed_scale,
         )  # fmt: skip
         parts = self._complements(rover, base)
         klobuchar, channel, signals = self._point.klobuchar, issues.channel, rover.signals
         if not parts:
-            solved = solve_pair(state.filter, signals, base.signals, single, channel, klobuchar, known, self._setup)
+            solved = solve_pair(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, known, self._setup)
         else:
-            solved = solve(state.filter, self._combined(state, signals, [base, *parts], single, channel), known, self._setup)
+            differences = self._combined(state, signals, [base, *parts], single, channel)
+            solved = solve(state.filter, state.informed, differences, known, self._setup)
         around = Circumstances(age_s, self._moves, singles[1], self._resets)
         if solved.status == FEW_COMMON:
             return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         if solved.status == NOT_FINITE:
             self.reset()
             return replace(from_single(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
-        state.filter, state.rover_s, state.base_s, state.rover_model_ecef_m = solved.filter, state.time_s, base_s, model_ecef_m
+        state.filter, state.informed = solved.filter, solved.informed
+        state.rover_s, state.base_s, state.rover_model_ecef_m = state.time_s, base_s, model_ecef_m
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
         return report(rover, base, single, state.base_ecef_m, solved, around)
 

@@ -29,9 +29,9 @@ SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 # biases per channel; LAST_* are numbers of the last free search; truth values are 0.0 and 1.0.
 (
     STREAK_START_S, STREAK_EPOCHS, DOUBTS, HELD_SINCE_S, CONFIRMED, SHOWN, SINCE_SEARCH, TRUSTS_GLONASS, GLONASS_VOTES, SLOPE, SLOPE_SIGMA,
-    LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS,
-) = range(16)  # fmt: skip
-MEMORY: Final = 16
+    LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED,
+) = range(17)  # fmt: skip
+MEMORY: Final = 17
 
 
 class ResolveSetup(NamedTuple):

@@ -11,6 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.acceptance import SURE
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
+from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, settle
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import SLOPE, SLOPE_SIGMA, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, learn_phases, phase_factor
@@ -19,15 +20,16 @@ from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.update import update
-from rtkmesh.rtk.validation import not_resolved, resolve
+from rtkmesh.rtk.validation import decide, fix, not_resolved
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# From here on the ionosphere is a state per satellite. Nearer, states cost more than they give: at 35 km 30 against 97 % right fixes.
+# From here on the ionosphere is a state per satellite of the witness too. Nearer, states cost it more than they give (at 35 km 30 against
+# 97 % right fixes); there only the informed filter has them.
 LONG_BASELINE_M: Final = 70e3
-_IONOSPHERE_SIGMA_PPM: Final = 1.0e-6
-_IONOSPHERE_WALK_PPM: Final = 0.012e-6  # per square root of second
+_IONOSPHERE_SIGMA_PPM: Final = 2.0e-6
+_IONOSPHERE_WALK_PPM: Final = 0.024e-6  # per square root of second
 _ZENITH_SIGMA_M: Final = 0.02
 _ZENITH_WALK_M: Final = 5e-5  # per square root of second
 _SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
@@ -77,15 +79,17 @@ class Known(NamedTuple):
     scale: Matrix
     velocity_mps: Vector
     velocity_cov_m2ps2: Matrix
+    informed_scale: Matrix
 
 
 class Solved(NamedTuple):
-    """What came of a pair of epochs: SOLVED, FEW_COMMON or NOT_FINITE; the filter; dynamic states and their covariance; the row of figures
-    and the satellite table as ``report`` has them.
+    """What came of a pair of epochs: SOLVED, FEW_COMMON or NOT_FINITE; the filter and the informed one; dynamic states and their
+    covariance; the row of figures and the satellite table as ``report`` has them.
     """
 
     status: int
     filter: Filter
+    informed: Filter
     x: Vector
     P: Matrix
     figures: Vector
@@ -112,11 +116,12 @@ def walks_of(setup: Setup, length_m: float, memory: Vector) -> Walks:
 
 @kernel
 def solve_pair(
-    f: Filter, rover: Signals, base: Signals, located: Located, channel: NDArray[np.int8], klobuchar: Vector, known: Known, setup: Setup
-) -> Solved:
+    f: Filter, informed: Filter, rover: Signals, base: Signals, located: Located, channel: NDArray[np.int8], klobuchar: Vector,
+    known: Known, setup: Setup,
+) -> Solved:  # fmt: skip
     """Return the relative solution of a rover epoch, ``located`` by its single point, and a base epoch; both are matched here."""
     d = differences_of(f, rover, base, located, channel, klobuchar, known.base_ecef_m, known.times_s, setup)
-    return solve(f, d, known, setup)
+    return solve(f, informed, d, known, setup)
 
 
 @kernel
@@ -131,35 +136,42 @@ def differences_of(
 
 
 @kernel
-def solve(before: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
+def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
     """Return the relative solution of single differences: the steps of an epoch."""
     figures, time_s, model_ecef_m = np.zeros(FIGURES), known.times_s[0], known.base_ecef_m + before.x[:3]
     if distinct(d.pairs.satellite, np.isfinite(d.table[:, CODE])) < 4:
-        return Solved(FEW_COMMON, before, before.x, before.P, figures, np.zeros((0, 0)))
+        return Solved(FEW_COMMON, before, informed, before.x, before.P, figures, np.zeros((0, 0)))
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
-    atmosphere = 2 if length_m > LONG_BASELINE_M else 0
-    arranged = lay_out(before, d, known.times_s, setup.slip, walks_of(setup, length_m, known.memory), setup.phases, atmosphere)
+    atmosphere, walks = 2 if length_m > LONG_BASELINE_M else 0, walks_of(setup, length_m, known.memory)
+    arranged = lay_out(before, d, known.times_s, setup.slip, walks, setup.phases, atmosphere)
     f, layout = arranged.filter, arranged.layout
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     if not outcome.ok or not is_finite(f.x, f.P):
-        return Solved(NOT_FINITE, f, f.x, f.P, figures, np.zeros((0, 0)))
+        return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)))
     remember(f, d, layout, outcome.phase_used, time_s)
     resolution = not_resolved()
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
-        resolution = resolve(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
-    if resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE):
-        squares = (outcome.phase_chi2 + resolution.norm) * phase_factor(known.scale)
-        learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
+        free = decide(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
+        if length_m > INFORMED_FROM_M and not setup.slip.base_moves:
+            motion = Motion(known.times_s, model_ecef_m - known.base_ecef_m, known.velocity_mps, known.velocity_cov_m2ps2)
+            use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
+            settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
+            resolution, informed, norm = settled.resolution, settled.informed, settled.norm
+        else:
+            resolution = fix(f, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
+            norm = resolution.norm
+        if resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE):
+            squares = (outcome.phase_chi2 + norm) * phase_factor(known.scale)
+            learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
+    satellites = describe_pairs(f, d, layout, outcome, resolution.fixed, time_s)
     if not resolution.fixed:
-        return Solved(
-            SOLVED, f, f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), figures, describe_pairs(f, d, layout, outcome, False, time_s)
-        )
+        return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), figures, satellites)
     known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
-    return Solved(SOLVED, f, resolution.x, resolution.P, figures, describe_pairs(f, d, layout, outcome, True, time_s))
+    return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites)
 
 
 @kernel

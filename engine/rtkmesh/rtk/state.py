@@ -88,6 +88,7 @@ class FilterState:
 
     origin: GpsTime
     filter: Filter = field(default_factory=new_filter)
+    informed: Filter = field(default_factory=new_filter)
     time_s: float = 0.0
     base_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
     rover_model_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))

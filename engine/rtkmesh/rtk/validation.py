@@ -35,6 +35,7 @@ from rtkmesh.rtk.memory import (
     DOUBTS,
     GLONASS_VOTES,
     HELD_SINCE_S,
+    INFORMED,
     LAST_COUNT,
     LAST_NORM,
     LAST_ODDS,
@@ -72,6 +73,7 @@ SEARCH_EVERY: Final = 5  # epochs between free searches of a large set that has 
 GLONASS_EPOCHS: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
 FIX_SIGMA_M: Final = 0.15  # a fix must be this good: who reads FIX expects centimetres
 CONFIRMATIONS: Final = 3
+INFORMED_EPOCHS: Final = 3  # epochs in which the informed filter must have agreed to speak for the integers against the witness
 
 # Reasons as numbers, for kernels.
 FIX_OK, FEW_AMBIGUITIES, NOT_SURE, TOO_UNCERTAIN, NOT_VALID, SWITCHED_OFF = (int(reason) for reason in (
@@ -104,9 +106,9 @@ def not_resolved() -> Resolution:
 
 
 @kernel
-def resolve(f: Filter, everything: Candidates, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float) -> Resolution:
-    """Find or keep integers for this epoch; ``prediction`` is where the last fix and time differences of the phase put the baseline (m,
-    ECEF) and its sigma, NaN without.
+def decide(f: Filter, everything: Candidates, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float) -> Search:
+    """Find, keep or release integers in this epoch; return the free search. ``prediction`` is where the last fix and time differences of
+    the phase put the baseline (m, ECEF) and its sigma, NaN without.
     """
     candidates = everything if memory[TRUSTS_GLONASS] > 0.0 else take(everything, everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
     held = pairs_of(take(everything, is_held(f, everything)))
@@ -121,7 +123,7 @@ def resolve(f: Filter, everything: Candidates, memory: Vector, setup: ResolveSet
     else:
         join(f, aided, candidates, held)
         _learn_glonass(f, everything, held, memory, setup)
-    return _fix(f, everything, free, memory, setup, prediction, time_s)
+    return free
 
 
 @kernel
@@ -185,7 +187,7 @@ def _learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vec
 def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector) -> None:
     """Let the float solution speak against what is held; release it when the doubt lasts."""
     integers, n = held_differences(f, held), len(held)
-    norm = _norm(f, held, integers)
+    norm = norm_of(f, held, integers)
     doubt = norm > NORM_LIMIT * n * 2.0
     if free.resolved:
         other, same = np.empty(n), True
@@ -197,18 +199,18 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
             if memory[CONFIRMED] >= CONFIRMATIONS and free.odds >= setup.confidence * ACCEPT_AFTER_STREAK:
                 memory[SHOWN] = 1.0
         else:
-            doubt = doubt or log_odds(_norm(f, held, other), norm, n) > RELEASE
-    _note(f, doubt, memory, prediction)
+            doubt = doubt or log_odds(norm_of(f, held, other), norm, n) > RELEASE
+    note(f, doubt and memory[INFORMED] < INFORMED_EPOCHS, memory, prediction)
 
 
 @kernel
-def _norm(f: Filter, pairs: Indices, integers: Vector) -> float:
+def norm_of(f: Filter, pairs: Indices, integers: Vector) -> float:
     """Return the squared norm of integers against the float ambiguities."""
     return condition(f.x, f.P, pairs, integers, 0.0, np.empty(0, np.int64), np.empty(0), np.empty((0, 0)))
 
 
 @kernel
-def _note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
+def note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
     """Count doubts in a row; release what is held when they last, and forget where it put the rover."""
     memory[DOUBTS] = memory[DOUBTS] + 1.0 if doubt else max(memory[DOUBTS] - 1.0, 0.0)
     if memory[DOUBTS] >= RELEASE_EPOCHS:
@@ -219,7 +221,7 @@ def _note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
 
 
 @kernel
-def _fix(
+def fix(
     f: Filter, candidates: Candidates, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float
 ) -> Resolution:
     """Return the state that follows from what is held now."""
@@ -237,7 +239,7 @@ def _fix(
         elif sigma_m > FIX_SIGMA_M:
             reason = TOO_UNCERTAIN
         elif isfinite(prediction[3]) and _distance_m(x, prediction) > PREDICTION_LIMIT_M + 4.0 * (prediction[3] + sigma_m):
-            _note(f, True, memory, prediction)
+            note(f, True, memory, prediction)
             reason = NOT_VALID
         else:
             grade = 1 + (1 if memory[CONFIRMED] > 0.0 else 0)

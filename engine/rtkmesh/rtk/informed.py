@@ -1,0 +1,193 @@
+"""A second filter that is told the integers, for baselines over which the atmosphere differs.
+
+The float filter is a witness because it never learns what is held; but so it also forgets what the held integers say of the atmosphere.
+This filter has the zenith delay and the slant ionospheres as states and is told every integer as soon as it is held: it knows the
+atmosphere as well as fixed phases do, and gives the position. It also judges: integers that are wrong strain the atmosphere beyond what it
+does, and for as long as they do not, a witness who knows nothing of the atmosphere does not shake them.
+"""
+
+from math import sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.signals import GLONASS, SYSTEMS
+from rtkmesh.rtk.ambiguity import Candidates, Search, add_constraints, held_differences, pairs_of, take
+from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
+from rtkmesh.rtk.filter import OK, posterior
+from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
+from rtkmesh.rtk.noise import IONOSPHERE_PPM
+from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
+from rtkmesh.rtk.slips import SlipSetup
+from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, SLOPE_KEY, ZENITH_KEY, Filter, place_of
+from rtkmesh.rtk.update import update
+from rtkmesh.rtk.validation import Resolution, fix, norm_of, note
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+INFORMED_FROM_M: Final = 10e3  # nearer, what the atmosphere leaves is below the phases' multipath
+NORM_LIMIT: Final = 3.0  # squared norm per integer that is told
+STRAIN_LIMIT: Final = 3.0  # sigmas that the atmosphere may differ by: nl_35km stays below 2, wrong integers there went to 5
+_GLONASS_CODE_M: Final = 10.0  # its codes are shifted by channel between makes, which an ionosphere would take for its own
+_TOLD_CYC2: Final = 0.01**2  # variance of an integer that is told
+_START_M: Final = 0.5  # sigma of each coordinate that a new filter adds to the witness's, which does not know of the atmosphere
+
+
+class Motion(NamedTuple):
+    """What an epoch knows beside its differences: times as ``find_slips`` has them, where the differences were modelled (baseline, m), the
+    Doppler velocity relative to the base with its covariance (NaN without).
+    """
+
+    times_s: Vector
+    modelled_m: Vector
+    velocity_mps: Vector
+    velocity_cov_m2ps2: Matrix
+
+
+class Use(NamedTuple):
+    """How this filter treats phases: the slip tests, random walks, memory of the code's noise, and which may become integers."""
+
+    slip: SlipSetup
+    walks: Walks
+    scale: Matrix
+    mask_rad: float
+    least_epochs: float
+
+
+class Informed(NamedTuple):
+    """The filter after an epoch, its candidates and those that are held; ``agrees``: neither they nor the atmosphere are strained."""
+
+    filter: Filter
+    candidates: Candidates
+    held: Indices
+    agrees: bool
+
+
+class Settled(NamedTuple):
+    """What an epoch came to: the resolution, the informed filter, and the squared norm of the held integers against the witness."""
+
+    resolution: Resolution
+    informed: Filter
+    norm: float
+
+
+@kernel
+def settle(
+    witness: Filter, informed: Filter, candidates: Candidates, free: Search, d: Differences, motion: Motion, use: Use, memory: Vector,
+    setup: ResolveSetup, prediction: Vector,
+) -> Settled:  # fmt: skip
+    """Tell the informed filter what the witness holds after ``decide``, and let it answer, if it has enough integers; else the witness."""
+    held, time_s = pairs_of(take(candidates, is_held(witness, candidates))), motion.times_s[0]
+    if len(held) < 4:
+        memory[INFORMED] = 0.0
+        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s), _nothing(informed), 0.0)
+    if len(informed.keys) == 0 or memory[HELD_SINCE_S] == time_s:
+        informed, memory[INFORMED] = begin_informed(witness), 0.0
+    norm, told = norm_of(witness, held, held_differences(witness, held)), inform(informed, witness, d, motion, use)
+    if len(told.held) < 4:
+        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s), told.filter, norm)
+    memory[INFORMED] = memory[INFORMED] + 1.0 if told.agrees else 0.0
+    if not told.agrees:
+        note(witness, True, memory, prediction)
+    return Settled(fix(told.filter, told.candidates, free, memory, setup, prediction, time_s), told.filter, norm)
+
+
+@kernel
+def _nothing(f: Filter) -> Filter:
+    """Return a filter without states."""
+    return Filter(f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), np.zeros(0, np.int64), np.zeros((0, HISTORY)))
+
+
+@kernel
+def begin_informed(witness: Filter) -> Filter:
+    """Return a filter that knows nearly what the witness knows of the rover's motion, and nothing else."""
+    f = _nothing(witness)
+    for i in range(3):
+        f.P[i, i] += _START_M**2
+    return f
+
+
+@kernel
+def with_states(d: Differences, length_m: float, shift_ecef_m: Vector) -> Differences:
+    """Return the differences as a filter sees them whose baseline is so much longer (m), without the variance that stands for an
+    ionosphere that is no state.
+    """
+    table = d.table.copy()
+    for k in range(len(table)):
+        nearer_m = 0.0
+        for i in range(3):
+            nearer_m += d.rover_direction[k, i] * shift_ecef_m[i]
+        table[k, CODE] += nearer_m
+        table[k, PHASE] += nearer_m
+        common = (IONOSPHERE_PPM * length_m) ** 2 / max(np.sin(table[k, ELEVATION_RAD]), 0.2) ** 2
+        table[k, CODE_VARIANCE] += _GLONASS_CODE_M**2 if d.pairs.satellite[k] // 64 == GLONASS else -common
+        table[k, PHASE_VARIANCE] -= common
+    return Differences(
+        d.pairs, table, d.rover_direction, d.base_direction, d.azimuth_rad, d.issue, d.flagged, d.half_cycle, d.lock_s, d.base_s
+    )
+
+
+@kernel
+def adopt(f: Filter, witness: Filter) -> None:
+    """Take over the integers that the witness holds; what it does not know stays."""
+    for k in range(len(f.keys)):
+        place = place_of(witness.keys, f.keys[k])
+        if place >= 0 and np.isfinite(witness.history[place, INTEGER]):
+            f.history[k, INTEGER] = witness.history[place, INTEGER]
+
+
+@kernel
+def inform(before: Filter, witness: Filter, d: Differences, motion: Motion, use: Use) -> Informed:
+    """Update the filter by an epoch that the witness has been updated by, and tell it the integers that the witness holds."""
+    length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
+    sharp = with_states(d, length_m, before.x[:3] - motion.modelled_m)
+    arranged = lay_out(before, sharp, motion.times_s, use.slip, use.walks, True, 2)
+    f, layout = arranged.filter, arranged.layout
+    outcome = update(f, sharp, layout, use.scale, motion.velocity_mps, motion.velocity_cov_m2ps2)
+    candidates = find_candidates(f, sharp, layout, outcome.phase_used, use.mask_rad, use.least_epochs)
+    if not outcome.ok or not is_finite(f.x, f.P):
+        return Informed(_nothing(witness), candidates, np.zeros((0, 2), np.int64), False)
+    remember(f, sharp, layout, outcome.phase_used, motion.times_s[0])
+    adopt(f, witness)
+    held = pairs_of(take(candidates, is_held(f, candidates)))
+    norm = norm_of(f, held, held_differences(f, held))
+    tell(f, held)
+    return Informed(f, candidates, held, norm <= NORM_LIMIT * len(held) and strain(f, use.walks) <= STRAIN_LIMIT)
+
+
+@kernel
+def strain(f: Filter, walks: Walks) -> float:
+    """Return the larger of: the zenith delay in sigmas of a new one, the spread of the ionospheres (in each system) in theirs.
+
+    What all of a system share is not known: it is part of the clocks.
+    """
+    total, count, zenith, sums, members = 0.0, 0, 0.0, np.zeros(len(SYSTEMS)), np.zeros(len(SYSTEMS))
+    for k in range(len(f.keys)):
+        key = f.keys[k]
+        if key == ZENITH_KEY:
+            zenith = abs(f.x[DYNAMIC + k]) / walks.zenith_sigma_m
+        elif key < FIRST_PAIR_KEY and key != SLOPE_KEY:
+            sums[key // 64] += f.x[DYNAMIC + k]
+            members[key // 64] += 1.0
+    for k in range(len(f.keys)):
+        key = f.keys[k]
+        if ZENITH_KEY < key < FIRST_PAIR_KEY and key != SLOPE_KEY:
+            total += ((f.x[DYNAMIC + k] - sums[key // 64] / members[key // 64]) / walks.ionosphere_sigma_m) ** 2
+            count += 1
+    return max(zenith, sqrt(total / count)) if count > 0 else zenith
+
+
+@kernel
+def tell(f: Filter, held: NDArray[np.int64]) -> None:
+    """Tell the filter of integers."""
+    n = len(f.x)
+    N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
+    add_constraints(held, f.x, held_differences(f, held), _TOLD_CYC2, N, b)
+    if posterior(f.P, N, b, P, dx) == OK:
+        for i in range(n):
+            f.x[i] += dx[i]
+            f.P[i, :] = P[i]

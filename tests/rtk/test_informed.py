@@ -1,0 +1,91 @@
+"""The filter that is told the integers: what it does to differences, to ambiguities and how it judges an atmosphere."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtkmesh.rtk import informed
+from rtkmesh.rtk.ambiguity import held_differences
+from rtkmesh.rtk.bookkeeping import Walks
+from rtkmesh.rtk.matching import Pairs
+from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, DIFFERENCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, ZENITH_KEY, Filter
+
+WALKS = Walks(0.004, 1e-3, 0.07, 5e-5, 0.02, 1e-6, (0.0, 0.03), 20.0)
+PAIR = 262144  # a key of a pair is its satellite times this, and more
+
+
+def differences(satellites, seed=0):
+    """Return differences of one signal of these satellites, above 20 degrees."""
+    rng, n = np.random.default_rng(seed), len(satellites)
+    table = rng.normal(size=(n, DIFFERENCE))
+    table[:, ELEVATION_RAD], table[:, CODE_VARIANCE], table[:, PHASE_VARIANCE] = rng.uniform(0.4, 1.5, n), 1.0, 1.0
+    direction = rng.normal(size=(n, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    number, index, flags = np.array(satellites, np.int16), np.zeros(n, np.int64), np.zeros((n, 2), np.bool_)
+    pairs = Pairs(number, index, index, index, index, 1, number.astype(np.int64) * PAIR)
+    return Differences(
+        pairs, table, direction, direction, np.zeros(n), np.zeros(n), flags, flags[:, 0].copy(), np.zeros((n, 2)), np.zeros(n)
+    )
+
+
+def told_filter(integers, seed=1):
+    """Return a filter of one group's ambiguities that holds these integers and is off them by some cycles."""
+    n = DYNAMIC + len(integers)
+    A = np.random.default_rng(seed).normal(size=(n, n))
+    keys, history = np.arange(1, len(integers) + 1) * PAIR, np.zeros((len(integers), HISTORY))
+    history[:, INTEGER] = integers
+    return Filter(np.random.default_rng(seed + 1).normal(size=n), A @ A.T + np.eye(n), keys.astype(np.int64), history)
+
+
+@given(st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3), st.integers(0, 99))
+def test_a_longer_baseline_brings_nearer_what_lies_ahead(shift, seed):
+    """Observed minus modelled grows by the shift's part towards the satellite, code and phase alike; there and back changes nothing."""
+    d, shift = differences([1, 2, 3, 70], seed), np.array(shift)
+    there = informed.with_states(d, 20e3, shift)
+    expected = d.rover_direction @ shift
+    assert there.table[:, CODE] - d.table[:, CODE] == pytest.approx(expected, abs=1e-12)
+    assert there.table[:, PHASE] - d.table[:, PHASE] == pytest.approx(expected, abs=1e-12)
+    back = informed.with_states(there, 0.0, -shift)
+    assert back.table[:, PHASE] == pytest.approx(d.table[:, PHASE], abs=1e-12)
+
+
+def test_the_ionosphere_leaves_the_variances_and_glonass_codes_say_nothing():
+    """Phases lose what stood for the ionosphere; codes of GLONASS get metres."""
+    d = differences([1, 2, 70])
+    out = informed.with_states(d, 20e3, np.zeros(3)).table
+    gone = (0.5e-6 * 20e3 / np.sin(d.table[:, ELEVATION_RAD])) ** 2
+    assert d.table[:, PHASE_VARIANCE] - out[:, PHASE_VARIANCE] == pytest.approx(gone)
+    assert d.table[:2, CODE_VARIANCE] - out[:2, CODE_VARIANCE] == pytest.approx(gone[:2])
+    assert out[2, CODE_VARIANCE] > 100.0
+
+
+def test_what_is_told_is_known():
+    """The differences of ambiguities are the integers within the variance of telling; the filter stays positive definite."""
+    f = told_filter(np.array([4.0, -7.0, 11.0, 2.0, 5.0]))
+    held = np.array([[DYNAMIC + k, DYNAMIC] for k in range(1, 5)])
+    informed.tell(f, held)
+    assert [f.x[i] - f.x[r] for i, r in held] == pytest.approx(held_differences(f, held), abs=0.01)
+    assert np.linalg.eigvalsh(f.P).min() > 0.0
+    assert all(f.P[i, i] + f.P[r, r] - 2.0 * f.P[i, r] < 0.0101**2 for i, r in held)
+
+
+@given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
+def test_what_a_system_shares_is_no_strain(first, second):
+    """A common ionosphere of a system is part of its clocks; a zenith delay of three sigmas is three."""
+    keys = np.array([ZENITH_KEY, 3, 7, 9, 130, 133], np.int64)
+    f = Filter(np.zeros(DYNAMIC + 6), np.eye(DYNAMIC + 6), keys, np.zeros((6, HISTORY)))
+    f.x[DYNAMIC + 1 : DYNAMIC + 4], f.x[DYNAMIC + 4 :] = first, second
+    assert informed.strain(f, WALKS) == pytest.approx(0.0, abs=1e-9)
+    f.x[DYNAMIC + 1] += 0.3
+    assert informed.strain(f, WALKS) == pytest.approx(0.3 * np.sqrt(2.0 / 3.0 / 5.0) / 0.07, rel=1e-6)
+    f.x[DYNAMIC] = -0.06
+    assert informed.strain(f, WALKS) == pytest.approx(3.0)
+
+
+def test_integers_are_adopted_by_key():
+    """Only keys that both have, and only integers that the witness holds; what it does not know stays."""
+    f, witness = told_filter(np.array([1.0, 2.0, 3.0])), told_filter(np.array([5.0, np.nan, 9.0]))
+    informed.adopt(f, witness._replace(keys=np.array([1, 2, 4], np.int64) * PAIR))
+    assert f.history[:, INTEGER].tolist() == [5.0, 2.0, 3.0]
