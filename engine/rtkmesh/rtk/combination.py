@@ -6,7 +6,6 @@ and a stretch of one run that agrees with the other on both sides of a dispute h
 called a float solution, with a covariance that covers what was in dispute. See docs/concepts/engine.md.
 """
 
-from collections import Counter
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
@@ -68,8 +67,8 @@ class Combined(NamedTuple):
 
     def counts(self) -> dict[str, int]:
         """Return how many epochs were combined how."""
-        found = Counter(self.how.tolist())
-        return {how.name.lower(): found[how] for how in How if found[how]}
+        numbers = np.bincount(self.how, minlength=len(How)).tolist()
+        return {how.name.lower(): numbers[how] for how in How if numbers[how]}
 
 
 def combine_runs(forward: Table, backward: Table) -> Combined:
@@ -81,8 +80,9 @@ def combine_runs(forward: Table, backward: Table) -> Combined:
     sides = _side(forward, later=1), _side(backward, later=-1)
     how = _decide(*sides)
     table = np.where(_from_backward(how, *sides), backward, forward)
-    for fill in (_agree, _cover, _smooth, _velocities):
+    for fill in (_agree, _cover, _smooth):
         fill(table, how, forward, backward)
+    _move(table, forward, backward)
     _demote(table, how, *sides)
     return Combined(table, how)
 
@@ -92,23 +92,29 @@ def combine_runs(forward: Table, backward: Table) -> Combined:
 
 def _side(table: Table, later: int) -> Side:
     """Return a run with its stretches; ``later`` is 1 where it went through the epochs in rising order, -1 in falling order."""
-    rows = table[::later]
-    fixed, grade = rows["status"] == Status.FIX, rows["grade"]
-    begins = fixed.copy()
-    begins[1:] &= ~fixed[:-1] | ((grade[1:] == 1) & (grade[:-1] > 1)) | (rows["resets"][1:] != rows["resets"][:-1])
-    number = np.cumsum(begins) - 1
-    starts = np.flatnonzero(begins)
-    ends = np.array([*(starts[1:] - 1), len(rows) - 1], np.int64)[: len(starts)]
-    place = np.arange(len(rows))
-    first, last = place.copy(), place.copy()
-    for start, end in zip(starts, ends, strict=True):
-        end = start + int(np.flatnonzero(fixed[start : end + 1])[-1])
-        first[start : end + 1], last[start : end + 1] = start, end
-    first, last = np.where(fixed & (number >= 0), first, place), np.where(fixed & (number >= 0), last, place)
-    fading = fixed & (last - place < HINDSIGHT) & (last < len(rows) - 1)
+    count = len(table)
+    first, last = _stretches(table[::later])
+    fixed, place = table["status"][::later] == Status.FIX, np.arange(count)
+    fading = fixed & (last - place < HINDSIGHT) & (last < count - 1)
     if later == 1:
         return Side(table, fixed, first, last, fading)
-    return Side(table, fixed[::-1], len(rows) - 1 - last[::-1], len(rows) - 1 - first[::-1], fading[::-1])
+    return Side(table, fixed[::-1], count - 1 - last[::-1], count - 1 - first[::-1], fading[::-1])
+
+
+def _stretches(rows: Table) -> tuple[Indices, Indices]:
+    """Return the first and the last epoch of the stretch that each fix belongs to, of other epochs their own place.
+
+    A stretch is a row of fixes of which none was begun anew: its grade has not fallen to 1, and no reset came between.
+    """
+    fixed, grade, place = rows["status"] == Status.FIX, rows["grade"], np.arange(len(rows))
+    begins = fixed.copy()
+    begins[1:] &= ~fixed[:-1] | ((grade[1:] == 1) & (grade[:-1] > 1)) | (rows["resets"][1:] != rows["resets"][:-1])
+    starts, number = np.flatnonzero(begins), np.cumsum(begins)[fixed] - 1
+    ends = np.zeros(len(starts), np.int64)
+    ends[number] = place[fixed]  # of equal numbers the last one stays
+    first, last = place.copy(), place.copy()
+    first[fixed], last[fixed] = starts[number], ends[number]
+    return first, last
 
 
 def _anchored(side: Side, agreed: Mask) -> tuple[Mask, Mask]:
@@ -165,8 +171,10 @@ def _from_backward(how: Indices, forward: Side, backward: Side) -> Mask:
     decided = np.isin(how, (How.BACKWARD, How.BACKWARD_FIX, How.BACKWARD_CHOSEN))
     open_ = np.isin(how, (How.AGREED, How.NEAR, How.SMOOTHED))
     surer = _variance(backward.table) < _variance(forward.table)
-    refused = (how == How.REFUSED) & forward.fixed & ~backward.fixed  # the other run's float stands for a fix that is not believed
-    return decided | (open_ & surer) | (refused & (_rank(backward.table) >= 2))
+    # The other run's float stands for a fix that is not believed, if it has one.
+    for_forward = forward.fixed & ~backward.fixed & (_rank(backward.table) >= 2)
+    for_backward = backward.fixed & ~forward.fixed & (_rank(forward.table) < 2)
+    return decided | (open_ & surer) | ((how == How.REFUSED) & (for_forward | for_backward))
 
 
 def _variance(table: Table) -> Vector:
@@ -216,7 +224,7 @@ def _place(table: Table, at: Mask, baseline_ecef_m: Vector, P: Matrices) -> None
     table["baseline_ecef_m"][at], table["baseline_cov_ecef_m2"][at] = baseline_ecef_m, P
 
 
-def _velocities(table: Table, how: Indices, f: Table, b: Table) -> None:
+def _move(table: Table, f: Table, b: Table) -> None:
     """Write velocities made of both runs: one lags behind a change of motion, the other runs ahead of it.
 
     Both contain the epoch's own Dopplers, so nothing is taken as independent.

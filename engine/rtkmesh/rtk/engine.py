@@ -147,7 +147,8 @@ class Rtk:
         state = self._seeded(rover, single, base_position_ecef_m)
         if state is None:
             return from_single(rover, base, single)
-        return self._doubted(self._relative(state, rover, self._with_complements(rover, base, earlier_bases), issues, (single, base_single)))
+        bases = self._with_complements(rover, base, earlier_bases)
+        return self._doubted(self._relative(state, rover, bases, issues, (single, base_single)))
 
     def _doubted(self, solution: Solution) -> Solution:
         """Begin anew when the codes contradict the phases' position beyond all multipath, epoch after epoch."""

@@ -14,7 +14,15 @@ from typing import Final
 import numpy as np
 
 from rtkmesh.errors import OptionError
-from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix, ReferenceStation
+from rtkmesh.gnss.ephemeris import (
+    Ephemeris,
+    GlonassBias,
+    GlonassEphemeris,
+    KeplerEphemeris,
+    KlobucharParameters,
+    ReceiverFix,
+    ReferenceStation,
+)
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import Antenna

@@ -1,4 +1,4 @@
-"""The solutions of a run as one table, 640 bytes an epoch: a day at 1 Hz is 55 MB. What is known of single satellites is not in it."""
+"""The solutions of a run as one table, half a kilobyte an epoch: a day at 1 Hz is 42 MB. Single satellites are not in it."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
