@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.rtk.fusion import Estimate, fuse, misfit
+from rtkmesh.rtk.noise import IONOSPHERE_PPM
 from rtkmesh.rtk.solution import Reason, Status
 from rtkmesh.rtk.track import Table
-from rtkmesh.rtk.validation import FIX_SIGMA_M
+from rtkmesh.rtk.validation import FIX_SIGMA_M, RELEASE_EPOCHS
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
@@ -23,10 +24,10 @@ Vector = NDArray[np.float64]
 Matrices = NDArray[np.float64]
 
 LIMIT: Final = 16.3  # chi-square of 3 degrees of freedom at 0.1 %: beyond it two solutions contradict each other
-EQUAL_M: Final = 0.05  # fixes with equal integers differ by what few other satellites do to them
-MODEL_M: Final = 0.01  # sigma per axis of what models leave in a solution, beside its own
+EQUAL_M: Final = 0.05  # fixes with equal integers differ by what few other satellites do to them, and more on long baselines (_model_m)
+MODEL_M: Final = 0.01  # sigma per axis of what models leave in a solution, beside its own and what grows with the baseline
 ANCHORS: Final = 3  # epochs of agreement that make a stretch a trusted one
-HINDSIGHT: Final = 3  # epochs before a run lost its integers: doubt needs as many to release them (validation.RELEASE_EPOCHS)
+HINDSIGHT: Final = RELEASE_EPOCHS  # epochs before a run lost its integers: doubt needs as many to release them
 CODE_MEMORY_S: Final = 20.0  # what codes see in so many seconds they share (engine.md, variances)
 GRADE_ALONE: Final = 2  # of a fix that no agreement supports
 UNSURE_M: Final = 0.5  # sigma per axis of what is left of a fix that is not believed, where there is nothing else
@@ -73,7 +74,7 @@ class Combined(NamedTuple):
 
 def combine_runs(forward: Table, backward: Table) -> Combined:
     """Return the solutions of both runs made into one; the tables have the same epochs in rising order of time."""
-    if len(forward) != len(backward) or not np.array_equal(forward["tow_s"], backward["tow_s"]):
+    if len(forward) != len(backward) or any((forward[name] != backward[name]).any() for name in ("week", "tow_s")):
         raise ValueError("the two runs are not over the same epochs")
     if not len(forward):
         return Combined(forward.copy(), np.zeros(0, np.int64))
@@ -134,7 +135,7 @@ def _decide(forward: Side, backward: Side) -> Indices:
     gap_m = np.linalg.norm(_gap_m(f, b), axis=1)
     apart = misfit(_gap_m(f, b), _spread(f, b))
     both, rank_f, rank_b = forward.fixed & backward.fixed, _rank(f), _rank(b)
-    agreed = both & (gap_m <= EQUAL_M)
+    agreed = both & (gap_m <= EQUAL_M + _model_m(f) - MODEL_M)
     anchors = [np.array(_anchored(side, agreed)).sum(axis=0) for side in (forward, backward)]
     how = np.full(len(f), How.NONE)
     how[(rank_f == rank_b) & (rank_f > 0)] = How.ALIKE
@@ -163,7 +164,13 @@ def _gap_m(f: Table, b: Table) -> Vector:
 
 def _spread(f: Table, b: Table) -> Matrices:
     """Return the covariance of the difference of both runs' baselines, were they independent."""
-    return f["baseline_cov_ecef_m2"] + b["baseline_cov_ecef_m2"] + 2.0 * MODEL_M**2 * np.eye(3)
+    model_m2 = 2.0 * np.square(np.nan_to_num(_model_m(f)))
+    return f["baseline_cov_ecef_m2"] + b["baseline_cov_ecef_m2"] + model_m2[:, None, None] * np.eye(3)
+
+
+def _model_m(table: Table) -> Vector:
+    """Return the sigma per axis of what models leave: other satellites see another atmosphere, the more of it the longer the baseline."""
+    return MODEL_M + IONOSPHERE_PPM * np.linalg.norm(table["baseline_ecef_m"], axis=1)
 
 
 def _from_backward(how: Indices, forward: Side, backward: Side) -> Mask:
