@@ -175,7 +175,7 @@ class Run:
             yield solution
 
     def _forward(self) -> Iterator[Solution]:
-        for pair in self._pairs():
+        for pair in self._pairs(self.tally):
             yield self._solved(pair, self.tally)
 
     def _both(self) -> Iterator[Solution]:
@@ -183,7 +183,7 @@ class Run:
         course, forward, combining = Course(self.session), Track(), self.kind is SolutionType.COMBINED
         there, back = Tally(), Tally() if combining else self.tally
         with Spool[Taken]() as spool:
-            for pair in self._pairs():
+            for pair in self._pairs(there):
                 spool.append(course.take(pair))
                 if combining:
                     forward.append(self._solved(pair, there))
@@ -223,14 +223,17 @@ class Run:
         self.watch()
         return solution
 
-    def _pairs(self) -> Iterator[Pair]:
-        """Yield all rover epochs with their base epochs, when what precedes them has been read."""
+    def _pairs(self, tally: Tally) -> Iterator[Pair]:
+        """Yield all rover epochs with their base epochs, when what precedes them has been read; pairing is part of solving."""
         session = self.session
         for source, message in _merged(self.inputs):
             session.feed(source, message)
             if isinstance(message, Epoch | EndOfStream):
+                started = perf_counter()
                 while (pair := session.next_pair(0.0)) is not None:
+                    tally.solving_s += perf_counter() - started
                     yield pair
+                    started = perf_counter()
             if session.rover_ended and not len(session.pairing):
                 return
 
