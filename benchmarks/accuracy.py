@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Our solutions beside RTKLIB's on the same recordings, in the same run.
 
-  accuracy.py [--data DIR] [--only NAME,...] [--quick] [--json] [--markdown] [--gate] [--keep DIR]
+  accuracy.py [--data DIR] [--only NAME,...] [--quick] [--direction WAY] [--json] [--markdown] [--gate] [--keep DIR]
 
 Every pair of cases.toml (RTKMESH_DATA or ../shared/data) is solved by `rtkmesh solve` with the flags that the case names and by
 RTKLIB's rnx2rtkp with the options beside the data; both files are scored by score_pos.py, and so are the stored solutions of demo5
@@ -38,12 +38,13 @@ _PROGRAM = [sys.executable, "-m", "rtkmesh_services.cli.main"]
 _GATE_PCT = 2.0
 
 
-def ours(program: list[str], case: Case, out: Path) -> Row:
+def ours(program: list[str], case: Case, out: Path, direction: str = "forward") -> Row:
     """Solve a case with rtkmesh and return its scored row."""
     argv = [*program, "solve", "--rover", str(case.rover), "--base", str(case.base)]
     for file in case.navigation:
         argv += ["--nav", str(file)]
     argv += ["--frequencies", str(case.frequencies), "--systems", case.systems, "--elmask", "15"]
+    argv += ["--direction", direction] if direction != "forward" else []
     argv += ["--base-ecef=" + ",".join(map(str, case.base_ecef_m)), "--format", "xyz", "--out", str(out), "--json"]
     if case.date:
         argv += ["--date", case.date]
@@ -52,14 +53,15 @@ def ours(program: list[str], case: Case, out: Path) -> Row:
     except rtklib.ProgramError as error:
         return {"failed": str(error)}
     summary = json.loads(done.output)
-    return case.score(out) | _cost(done, case) | {"solve_ms_per_epoch": summary["solve_ms_per_epoch"]}
+    how = {"combined": summary["combined"]} if "combined" in summary else {}
+    return case.score(out) | _cost(done, case) | {"solve_ms_per_epoch": summary["solve_ms_per_epoch"]} | how
 
 
-def theirs(case: Case, out: Path) -> Row:
+def theirs(case: Case, out: Path, direction: str = "forward") -> Row:
     """Solve a case with rnx2rtkp and return its scored row."""
     with tempfile.TemporaryDirectory() as folder:
         try:
-            done = rtklib.solve(case, Path(folder), out)
+            done = rtklib.solve(case, Path(folder), out, direction)
         except rtklib.ProgramError as error:
             return {"failed": str(error)}
     return case.score(out) | _cost(done, case)
@@ -70,12 +72,13 @@ def _cost(done: rtklib.Finished, case: Case) -> Row:
     return {"wall_s": round(done.wall_s, 2), "cpu_s": round(done.cpu_s, 2), "cpu_ms_per_epoch": round(done.cpu_s * per_epoch, 3)}
 
 
-def measure(case: Case, program: list[str], out: Path) -> dict[str, Row]:
-    """Return the rows of a case; one that could not be made has the key ``failed``."""
-    rows = {OURS: ours(program, case, out / f"{case.name}.rtkmesh.pos")}
+def measure(case: Case, program: list[str], out: Path, direction: str = "forward") -> dict[str, Row]:
+    """Return the rows of a case; one that could not be made has the key ``failed``. Stored solutions are forward ones."""
+    rows = {OURS: ours(program, case, out / f"{case.name}.rtkmesh.pos", direction)}
     if not rtklib.missing():
-        rows[RTKLIB] = theirs(case, out / f"{case.name}.b34.pos")
-    return rows | {name: case.score(file) for name, file in case.stored.items() if name != RTKLIB}
+        rows[RTKLIB] = theirs(case, out / f"{case.name}.b34.pos", direction)
+    stored = case.stored if direction == "forward" else {}
+    return rows | {name: case.score(file) for name, file in stored.items() if name != RTKLIB}
 
 
 def in_words(row: Row) -> str:
@@ -144,14 +147,15 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, help="folder of the recordings")
     parser.add_argument("--only", help="names of cases, with commas between")
     parser.add_argument("--quick", action="store_true", help="the short recordings only")
+    parser.add_argument("--direction", default="forward", choices=("forward", "backward", "combined"), help="of both programs")
     parser.add_argument("--json", action="store_true", help="all figures, for programs")
     parser.add_argument("--markdown", action="store_true", help="write the tables into benchmarks/RESULTS.md and README.md")
     parser.add_argument("--gate", action="store_true", help="end with 1 where we are behind rnx2rtkp")
     parser.add_argument("--keep", type=Path, help="folder for the .pos files")
     parser.add_argument("--program", default="", help="another rtkmesh to measure (default: of this interpreter)")
     options = parser.parse_args()
-    if options.markdown and (options.only or options.quick):
-        parser.error("--markdown writes the table of all cases: leave out --only and --quick")
+    if options.markdown and (options.only or options.quick or options.direction != "forward"):
+        parser.error("--markdown writes the table of all cases, forward: leave out --only, --quick and --direction")
     return options
 
 
@@ -166,7 +170,7 @@ def _measured(cases: list[Case], program: list[str], options: argparse.Namespace
     report: Report = {}
     try:
         for case in cases:
-            report[case.name] = measure(case, program, out)
+            report[case.name] = measure(case, program, out, options.direction)
             for name, row in report[case.name].items():
                 print(f"{case.name:18} {name:10} {in_words(row)}", file=sys.stderr if options.json else sys.stdout, flush=True)
     finally:

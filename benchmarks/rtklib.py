@@ -21,6 +21,7 @@ PROGRAMS: Final = ("rnx2rtkp", "convbin")
 TIMEOUT_S: Final = 1200.0
 # 2.4.3 b34 knows these names only and falls back to l1+2 for demo5's, which are in the stored options.
 _FREQUENCIES: Final = {1: "l1", 2: "l1+2", 3: "l1+2+3"}
+_DIRECTIONS: Final[dict[str, list[str]]] = {"forward": [], "backward": ["-b"], "combined": ["-c"]}
 _FORMATS: Final = {".ubx": "ubx", ".rtcm3": "rtcm3"}
 _SYSTEM_BITS: Final = {"G": 1, "R": 4, "E": 8, "J": 16, "C": 32}
 # As in the options that lie beside the recordings.
@@ -90,14 +91,22 @@ def missing() -> list[str]:
     return [name for name in PROGRAMS if shutil.which(name) is None]
 
 
-def solve(case: Case, folder: Path, out: Path) -> Finished:
-    """Solve a case with rnx2rtkp; the cost is that of rnx2rtkp alone, without the conversion to RINEX."""
+def solve(case: Case, folder: Path, out: Path, direction: str = "forward") -> Finished:
+    """Solve a case with rnx2rtkp; the cost is that of rnx2rtkp alone, without the conversion to RINEX.
+
+    Backward, rnx2rtkp writes from the last epoch to the first; the file is put in order of time.
+    """
     rover, rover_navigation = _rinex(case.rover, case.date, folder)
     base, base_navigation = _rinex(case.base, case.date, folder)
     navigation = [*case.navigation, *base_navigation, *rover_navigation]
     conf = folder / "rnx2rtkp.conf"
     conf.write_text(options(case))
-    return run(["rnx2rtkp", "-k", str(conf), "-o", str(out), str(rover), str(base), *map(str, navigation)])
+    argv = ["rnx2rtkp", "-k", str(conf), *_DIRECTIONS[direction], "-o", str(out), str(rover), str(base), *map(str, navigation)]
+    done = run(argv)
+    if direction == "backward":
+        lines = out.read_text().splitlines(keepends=True)
+        out.write_text("".join([line for line in lines if line[0] == "%"] + sorted(line for line in lines if line[0] != "%")))
+    return done
 
 
 def options(case: Case) -> str:

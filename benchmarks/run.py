@@ -49,6 +49,7 @@ BENCHMARKS = (
     Benchmark("accuracy", "accuracy.py", "Solutions beside RTKLIB's, per recording", ("--quick",)),
     Benchmark("campaign", "campaign.py", "Simulated runs against the truth", ("--quick",), recordings=False),
     Benchmark("dive", "dive.py", "After dives, RTKLIB on the same bytes", ("--quick",), recordings=False),
+    Benchmark("directions", "directions.py", "Forward, backward and combined, beside RTKLIB's", ("--quick",)),
     Benchmark("heading", "heading.py", "How a heading repeats, beside RTKLIB's", ("--quick",)),
     Benchmark("sigmas", "sigmas.py", "Covariances against errors", ("--quick",)),
     Benchmark("endurance", "endurance.py", "A million updates of one filter", ("--quick",), recordings=False),

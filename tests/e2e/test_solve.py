@@ -61,6 +61,37 @@ def test_formats_agree(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert (first[:2], other[:2]) == (["2021/03/19", "12:00:59.000"], ["2149", "475259.000"])
 
 
+@pytest.mark.e2e
+@pytest.mark.data
+def test_backward_and_combined(data: Path, tmp_path: Path) -> None:
+    """Every direction writes the same epochs in rising order and says in the header which it is; combined tells of both."""
+    command = [
+        sys.executable,
+        "-m",
+        "rtkmesh_services.cli.main",
+        *arguments(data),
+        f"--base-ecef={BASE_ECEF_M}",
+        "--format",
+        "xyz",
+        "--json",
+    ]
+    times: list[list[str]] = []
+    for direction in ("forward", "backward", "combined"):
+        out = tmp_path / f"{direction}.pos"
+        options = ["--direction", direction, "--out", str(out)]
+        done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=240, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert f"% solution  : {direction}\n" in out.read_text()
+        times.append([row[1] for row in rows(out)])
+        errors_m = np.linalg.norm(np.array([[float(v) for v in row[2:5]] for row in rows(out)]) - TRUTH_ECEF_M, axis=1)
+        assert np.percentile(errors_m, 95) < 0.05
+    summary = json.loads(done.stdout)
+    assert times[0] == times[1] == times[2] == sorted(times[0])
+    assert (summary["direction"], summary["epochs"], summary["combined"]) == ("combined", 60, {"agreed": 60})
+    assert [part["epochs"] for part in summary["directions"].values()] == [60, 60]
+    assert list(summary["directions"]) == ["forward", "backward"]
+
+
 @pytest.mark.data
 def test_single_needs_no_base(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Mode single solves one recording; without --out the .pos text is standard output."""
@@ -113,6 +144,8 @@ def test_no_solution_is_exit_code_1(data: Path, capsys: pytest.CaptureFixture[st
         (["--rover", "r", "--base", "b", "--config", "absent.toml"], "absent.toml: no such file"),
         (["--rover", "r", "--base", "b", "--base-ecef", "-1,2,x"], "--base-ecef=-1,2,x is not three numbers"),
         (["--rover", "r", "--mode", "single", "--format", "enu"], "mode 'single' has none"),
+        (["--rover", "r", "--mode", "single", "--direction", "combined"], "mode 'single' has no memory"),
+        (["--rover", "r", "--base", "b", "--direction", "sideways"], "backward"),
         (["--rover", "r", "--base", "b", "--mode", "fixed"], "fixed_position_ecef_m"),
         (["--rover", "r", "--base", "b", "--mode", "kinematik"], "kinematic"),
         (["--rovr", "r"], "--rover"),

@@ -15,9 +15,13 @@ from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.rtk.backward import Backward, Course, Taken
+from rtkmesh.rtk.combination import combine_runs
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import Mode, RtkOptions
+from rtkmesh.rtk.session import Given, Session, SessionOptions
 from rtkmesh.rtk.solution import Status
+from rtkmesh.rtk.track import solutions_of, track_of
 from rtkmesh_services.mapping.antennas import antenna_finder
 
 pytestmark = pytest.mark.data
@@ -32,15 +36,24 @@ class Case:
     base_ecef_m: np.ndarray
     klobuchar: object = None
 
-    def solve(self, options: RtkOptions, antennas=(None, None)):
-        engine, times = Rtk(options), [seconds(epoch.time) for epoch in self.base]
-        engine.antennas(*antennas)
-        solutions = []
+    def pairs(self):
+        """Yield rover epochs with the newest base epoch of each."""
+        times = [seconds(epoch.time) for epoch in self.base]
         for epoch in self.rover:
             i = bisect_right(times, seconds(epoch.time) + 0.025) - 1
-            base = self.base[i] if i >= 0 else None
-            solutions.append(engine.step(epoch, base, self.table, self.klobuchar, base_position_ecef_m=self.base_ecef_m))
-        return solutions
+            yield epoch, self.base[i] if i >= 0 else None
+
+    def solve(self, options: RtkOptions, antennas=(None, None)):
+        engine = Rtk(options)
+        engine.antennas(*antennas)
+        return [engine.step(rover, base, self.table, self.klobuchar, base_position_ecef_m=self.base_ecef_m) for rover, base in self.pairs()]
+
+    def solve_backward(self, options: RtkOptions):
+        """Return the solutions of the same pairs, the last first, in rising order of time."""
+        course = Course(Session(SessionOptions(options), self.table))
+        course.givens.append(Given(self.klobuchar, self.base_ecef_m, None, (None, None)))
+        taken = [Taken(rover, base, 0, 0) for rover, base in self.pairs()]
+        return list(Backward(options, course).solutions(reversed(taken)))[::-1]
 
 
 def seconds(time: GpsTime) -> float:
@@ -149,8 +162,8 @@ def test_stromlo_over_the_week_rollover(data):
     assert (wrong, first) == (0, 0)
 
 
-def test_galway_walk_single_frequency(data):
-    """M8P rover on foot, base epochs missing: at least half of the judged epochs right where RTKLIB gives a quarter, none wrong."""
+def galway_walk(data):
+    """Return the case, and the positions by the receiver's own RTK (NaN: not known)."""
     folder = data / "galway_m8p"
     case = raw(
         [folder / "rover-20181004-1532.ubx.gz", folder / "base-20181004-1452.ubx.gz"], (3774085.6456, -601662.5769, 5089316.3970), 500,
@@ -168,6 +181,12 @@ def test_galway_walk_single_frequency(data):
         if found is not None:
             truth[k] = [float(v) for v in found]
     assert np.isfinite(truth).all(axis=1).sum() > 100
+    return case, truth
+
+
+def test_galway_walk_single_frequency(data):
+    """M8P rover on foot, base epochs missing: at least half of the judged epochs right where RTKLIB gives a quarter, none wrong."""
+    case, truth = galway_walk(data)
     right, wrong, _ = judge(case.solve(RtkOptions(systems="GR", frequencies=1)), truth)
     assert right >= 50.0
     assert wrong == 0
@@ -193,3 +212,35 @@ def test_antennas_take_away_the_bias_of_a_mixed_pair(data, frequencies, systems,
         up_m.append(np.median(errors_m[:, 2]))
     assert 0.04 < up_m[0] < 0.06
     assert abs(up_m[1]) < bound_m
+
+
+def combined(forward, backward):
+    return list(solutions_of(combine_runs(track_of(forward).table, track_of(backward).table).table))
+
+
+def test_kanagawa_backward_and_combined(data):
+    """Fixed from the last epoch to the first, too, and what both agree on is right to centimetres."""
+    folder = data / "kanagawa_2021_078_60s"
+    case = rinex(folder, "SEPT078M1.21O", "3034078M1.21O", "SEPT078M.21P", (-3959400.631, 3385704.533, 3667523.111), 60)
+    options, truth = RtkOptions(systems="GEJ", frequencies=2), (-3962108.673, 3381309.574, 3668678.638)
+    backward = case.solve_backward(options)
+    consistent(backward)
+    assert judge(backward, truth) == (100.0, 0, 0)
+    both = combined(case.solve(options), backward)
+    consistent(both)
+    assert judge(both, truth) == (100.0, 0, 0)
+
+
+def test_galway_walk_backward_and_combined(data):
+    """The walk, on foot: what the forward run had as float until it found its integers is fixed by the backward run, nothing is wrong."""
+    case, truth = galway_walk(data)
+    options = RtkOptions(systems="GR", frequencies=1)
+    forward, backward = case.solve(options), case.solve_backward(options)
+    both = combined(forward, backward)
+    consistent(backward)
+    consistent(both)
+    runs = [judge(run, truth) for run in (forward, backward, both)]
+    fixed = [sum(s.status is Status.FIX for s in run) for run in (forward, both)]
+    assert [wrong for _, wrong, _ in runs] == [0, 0, 0]
+    assert runs[2][0] >= runs[0][0]
+    assert fixed[1] > fixed[0]

@@ -121,6 +121,23 @@ def _issue(noon: GpsTime, hours: float, sent: float, health: int) -> KeplerEphem
     )  # fmt: skip
 
 
+def test_withdrawing_undoes_adding(make_kepler, noon):
+    """In any order: what is left is the table of the others; what is not there cannot be withdrawn."""
+    issues = [make_kepler("G05", toe=noon + 7200.0 * k) for k in range(-3, 4)]
+    table, others = EphemerisTable(), EphemerisTable()
+    for issue in issues:
+        table.add(issue)
+    for issue in (issues[5], issues[0], issues[3]):
+        assert table.withdraw(issue)
+        assert not table.withdraw(issue)
+    for issue in (issues[1], issues[2], issues[4], issues[6]):
+        others.add(issue)
+    times = [noon + 1800.0 * k for k in range(-16, 17)]
+    assert len(table) == len(others) == 4
+    assert all(np.array_equal(table.select(ids("G05"), t), others.select(ids("G05"), t), equal_nan=True) for t in times)
+    assert table.add(issues[3])
+
+
 def test_a_full_satellite_loses_its_oldest_issue(make_kepler, noon):
     table = EphemerisTable()
     for k in range(ISSUES_PER_SATELLITE + 5):

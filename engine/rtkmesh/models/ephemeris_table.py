@@ -79,6 +79,17 @@ class EphemerisTable:
             return False
         return self._insert(ephemeris.satellite, place, row, key)
 
+    def withdraw(self, ephemeris: Ephemeris) -> bool:
+        """Take out an issue that ``add`` put in; False if it is not there. What a full satellite lost for it does not come back."""
+        satellite, count = ephemeris.satellite, int(self._count[ephemeris.satellite])
+        place, known = self._place(satellite, _pack(ephemeris), _key(ephemeris))
+        if not known:
+            return False
+        for table in (self._rows[satellite], self._keys[satellite]):
+            table[place : count - 1] = table[place + 1 : count].copy()
+        self._count[satellite] = count - 1
+        return True
+
     def select(self, satellites: NDArray[np.int16], time: GpsTime, *, include_unhealthy: bool = False) -> Row:
         """Return one row (n, ROW) per satellite: the issue nearest to ``time`` within its validity, newest upload first.
 

@@ -1,8 +1,12 @@
 """The RTK engine: one epoch of rover and base in, one solution out.
 
 ``Rtk.step`` is the page of named steps; each step is a module beside this one.
+
+The filter's clock always runs forward. In an engine that goes backward through the epochs it counts the seconds *before* its origin, so
+that velocities on it have the other sign; models see the time of the epochs themselves, and nothing else knows of the direction.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import reduce
 from math import isfinite, nan, sqrt
@@ -14,6 +18,7 @@ from numpy.typing import NDArray
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch, Signals
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
@@ -22,7 +27,7 @@ from rtkmesh.rtk.bookkeeping import Motion, advance, seed, systems_of
 from rtkmesh.rtk.matching import matching_rules
 from rtkmesh.rtk.memory import forget, new_memory, resolve_setup
 from rtkmesh.rtk.noise import new_code_scale
-from rtkmesh.rtk.options import AmbiguityMode, Mode, RtkOptions
+from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
 from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, Known, Setup, differences_of, solve, solve_pair, walks_of
 from rtkmesh.rtk.report import IS_FIXED, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
@@ -41,7 +46,7 @@ _SEED_MOVING: Final = np.array((30.0, 10.0, 3.0))
 _SEED_STANDING: Final = np.array((30.0, 1e-6, 1e-6))
 _SEED_FIXED: Final = np.array((1e-4, 1e-6, 1e-6))
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
-_COMPLEMENT_S: Final = 10.0  # how much older a base epoch may be that gives a system which the newest lacks
+COMPLEMENT_S: Final = 10.0  # how much older a base epoch may be that gives a system which the newest lacks
 _ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
 _ABSURD_EPOCHS: Final = 3
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
@@ -63,10 +68,15 @@ def _setup_of(options: RtkOptions) -> Setup:
 
 
 class Rtk:
-    """The engine of one rover and one base. Mutable; everything else in the package is a value."""
+    """The engine of one rover and one base. Mutable; everything else in the package is a value.
 
-    def __init__(self, options: RtkOptions) -> None:
+    Backward, epochs come in falling order of time and as ``reversal.Reversal`` gives them.
+    """
+
+    def __init__(self, options: RtkOptions, direction: Direction = Direction.FORWARD) -> None:
         self.options = options
+        self.direction = direction
+        self._sense = 1.0 if direction is Direction.FORWARD else -1.0  # of the filter's clock against GPS time
         self._state: FilterState | None = None
         self._scale = new_code_scale()
         self._informed_scale = new_code_scale()
@@ -113,11 +123,13 @@ class Rtk:
         *,
         base_position_ecef_m: Vector | None = None,
         glonass_bias: GlonassBias | None = None,  # noqa: ARG002  part of what a base says; see the docstring for why it changes nothing
+        earlier_bases: Iterable[Epoch] | None = None,
     ) -> Solution:
         """Return the solution of a rover epoch with its base epoch (the same or an older one; None if there is none).
 
         ``base_position_ecef_m`` is the antenna of the base (not needed in moving-base mode). ``glonass_bias``
-        changes nothing: a code bias that all channels share is part of the group's clock.
+        changes nothing: a code bias that all channels share is part of the group's clock. ``earlier_bases`` are base epochs that were
+        recorded before this one, newest first, for the systems that it lacks; None: those of the steps before.
         """
         if self.options.ambiguity.mode is AmbiguityMode.INSTANTANEOUS:
             self._forget()
@@ -136,7 +148,8 @@ class Rtk:
         state = self._seeded(rover, single, base_position_ecef_m)
         if state is None:
             return from_single(rover, base, single)
-        return self._doubted(self._relative(state, rover, base, issues, (single, base_single)))
+        bases = self._with_complements(rover, base, earlier_bases)
+        return self._doubted(self._relative(state, rover, bases, issues, (single, base_single)))
 
     def _doubted(self, solution: Solution) -> Solution:
         """Begin anew when the codes contradict the phases' position beyond all multipath, epoch after epoch."""
@@ -171,14 +184,14 @@ class Rtk:
     def _moves(self) -> bool:
         """Whether the rover (or the baseline) moves."""
         if self.options.mode is Mode.STATIC_START:
-            return self._was_fixed
+            return self._was_fixed or self.direction is Direction.BACKWARD
         return self.options.mode in (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.DGPS)
 
     def _seeded(self, rover: Epoch, single: Located, base_ecef_m: Vector) -> FilterState | None:
         """Return the state at the rover's epoch: moved on, or begun anew; None if there is nothing to begin with."""
         state = self._state
         if state is not None:
-            dt = (rover.time - state.origin) - state.time_s
+            dt = self._clock_s(state, rover.time) - state.time_s
             if not 0.0 <= dt <= _FORGET_S or not self._advance(state, dt, single) or self._astray(state, single):
                 self.reset()
         state = self._state
@@ -195,6 +208,10 @@ class Rtk:
             state.base_ecef_m = base_ecef_m.copy()
             state.base_s = nan
         return state
+
+    def _clock_s(self, state: FilterState, time: GpsTime) -> float:
+        """Return an instant on the filter's clock."""
+        return self._sense * (time - state.origin)
 
     def _seed(self, state: FilterState, single: Located) -> None:
         """Begin the dynamic states anew from the single-point position; the keyed states stay."""
@@ -224,21 +241,21 @@ class Rtk:
 
     # --- one relative solution ---
 
-    def _relative(self, state: FilterState, rover: Epoch, base: Epoch, issues: Issues, singles: tuple[Located, Located | None]) -> Solution:
-        single, model_ecef_m, age_s = singles[0], state.rover_ecef_m, rover.time - base.time
-        base_s = base.time - state.origin
+    def _relative(
+        self, state: FilterState, rover: Epoch, bases: list[Epoch], issues: Issues, singles: tuple[Located, Located | None]
+    ) -> Solution:
+        base, single, model_ecef_m = bases[0], singles[0], state.rover_ecef_m
+        age_s, base_s = rover.time - base.time, self._clock_s(state, base.time)
         known = Known(
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, self._prediction,
             self._memory, self._scale, *self._velocity(singles), self._informed_scale,
         )  # fmt: skip
-        parts = self._complements(rover, base)
         klobuchar, channel, signals = self._point.klobuchar, issues.channel, rover.signals
-        if not parts:
+        if len(bases) == 1:
             solved = solve_pair(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, known, self._setup)
         else:
-            differences = self._combined(state, signals, [base, *parts], single, channel)
-            solved = solve(state.filter, state.informed, differences, known, self._setup)
-        around = Circumstances(age_s, self._moves, singles[1], self._resets)
+            solved = solve(state.filter, state.informed, self._combined(state, signals, bases, single, channel), known, self._setup)
+        around = Circumstances(age_s, self._moves, self._sense, singles[1], self._resets)
         if solved.status == FEW_COMMON:
             return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         if solved.status == NOT_FINITE:
@@ -249,40 +266,45 @@ class Rtk:
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
         return report(rover, base, single, state.base_ecef_m, solved, around)
 
-    def _complements(self, rover: Epoch, base: Epoch) -> list[Epoch]:
-        """Return from earlier base epochs, newest first, the systems that this one lacks and the rover has.
+    def _with_complements(self, rover: Epoch, base: Epoch, earlier: Iterable[Epoch] | None) -> list[Epoch]:
+        """Return the base epoch and, from earlier ones, the systems that it lacks and the rover has.
 
         Lost messages make such epochs: RTCM 3 sends each system by itself.
         """
+        parts = [base]
         if self.options.mode is Mode.MOVING_BASE:
-            return []
-        if not self._bases or self._bases[-1] is not base:
-            self._bases = [b for b in self._bases if 0.0 < base.time - b.time <= _COMPLEMENT_S] + [base]
-        missing, parts = systems_of(rover.satellite) & ~systems_of(base.satellite), list[Epoch]()
-        for other in reversed(self._bases[:-1]):
+            return parts
+        missing = systems_of(rover.satellite) & ~systems_of(base.satellite)
+        for other in self._remembered_bases(base) if earlier is None else earlier:
             if found := missing & systems_of(other.satellite):
                 parts.append(other.take((found >> (other.satellite // SATELLITES_PER_SYSTEM)) & 1 != 0))
                 missing &= ~found
         return parts
+
+    def _remembered_bases(self, base: Epoch) -> Iterable[Epoch]:
+        """Remember a base epoch; return those before it, newest first."""
+        if not self._bases or self._bases[-1] is not base:
+            self._bases = [b for b in self._bases if 0.0 < base.time - b.time <= COMPLEMENT_S] + [base]
+        return reversed(self._bases[:-1])
 
     def _combined(self, state: FilterState, rover: Signals, bases: list[Epoch], single: Located, channel: NDArray[np.int8]) -> Differences:
         """Form the single differences with several base epochs that share no system."""
         made = (
             differences_of(
                 state.filter, rover, part.signals, single, channel, self._point.klobuchar, state.base_ecef_m,
-                np.array((state.time_s, part.time - state.origin)), self._setup,
+                np.array((state.time_s, self._clock_s(state, part.time))), self._setup,
             )
             for part in bases
         )  # fmt: skip
         return reduce(combine, made)
 
     def _velocity(self, singles: tuple[Located, Located | None]) -> tuple[Vector, Matrix]:
-        """Return the Doppler velocity relative to the base, with its covariance; NaN without."""
+        """Return the Doppler velocity relative to the base, on the filter's clock, with its covariance; NaN without."""
         rover, base = singles
         if not self._moves:
             return _NOWHERE, _UNKNOWN
         if self.options.mode is not Mode.MOVING_BASE:
-            return rover.velocity_mps, rover.velocity_cov_m2ps2
+            return self._sense * rover.velocity_mps, rover.velocity_cov_m2ps2
         if base is None:
             return _NOWHERE, _UNKNOWN
-        return rover.velocity_mps - base.velocity_mps, rover.velocity_cov_m2ps2 + base.velocity_cov_m2ps2
+        return self._sense * (rover.velocity_mps - base.velocity_mps), rover.velocity_cov_m2ps2 + base.velocity_cov_m2ps2

@@ -19,6 +19,13 @@ class Mode(StrEnum):
     FIXED = "fixed"
 
 
+class Direction(StrEnum):
+    """Which way an engine goes through the epochs."""
+
+    FORWARD = "forward"
+    BACKWARD = "backward"
+
+
 class AmbiguityMode(StrEnum):
     """How integer ambiguities are used from one epoch to the next."""
 

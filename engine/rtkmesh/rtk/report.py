@@ -86,10 +86,13 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
-    """What is around a relative solution; ``base_single`` is the single point of a moving base, else None."""
+    """What is around a relative solution: ``base_single`` is the single point of a moving base, else None; ``sense`` is 1.0, or -1.0 where
+    the filter's clock runs against GPS time.
+    """
 
     age_s: float
     moves: bool
+    sense: float
     base_single: Located | None
     resets: int
 
@@ -139,7 +142,7 @@ def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tup
     """
     if not around.moves:
         return single.velocity_mps[:3], single.velocity_cov_m2ps2, np.full(3, nan)
-    velocity, covariance = x[3:6].copy(), P[3:6, 3:6].copy()
+    velocity, covariance = around.sense * x[3:6], P[3:6, 3:6].copy()
     base = around.base_single
     if base is not None and isfinite(base.velocity_mps[0]):
         velocity += base.velocity_mps[:3]

@@ -14,7 +14,15 @@ from typing import Final
 import numpy as np
 
 from rtkmesh.errors import OptionError
-from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix, ReferenceStation
+from rtkmesh.gnss.ephemeris import (
+    Ephemeris,
+    GlonassBias,
+    GlonassEphemeris,
+    KeplerEphemeris,
+    KlobucharParameters,
+    ReceiverFix,
+    ReferenceStation,
+)
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import Antenna
@@ -75,9 +83,22 @@ def pairing_for(options: RtkOptions, *, replay: bool, maximum_wait_s: float = 1.
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Given:
+    """What the engine is given beside the epochs and the ephemerides."""
+
+    klobuchar: KlobucharParameters | None
+    base_position_ecef_m: "np.ndarray[tuple[int], np.dtype[np.float64]] | None"
+    glonass_bias: GlonassBias | None
+    antennas: tuple[Antenna | None, Antenna | None]
+
+
 @dataclass(slots=True)
 class Session:
-    """Pairing, navigation data and engine of one solver instance. Mutable."""
+    """Pairing, navigation data and engine of one solver instance. Mutable.
+
+    ``issues``, where it is a list, receives the ephemerides in the order in which they counted, each issue once.
+    """
 
     options: SessionOptions
     table: EphemerisTable = field(default_factory=EphemerisTable)
@@ -86,6 +107,7 @@ class Session:
     klobuchar: KlobucharParameters | None = None
     station: ReferenceStation | None = None
     glonass_bias: GlonassBias | None = None
+    issues: list[Ephemeris] | None = None
     _rover_pending: deque[tuple[int, Navigation]] = field(default_factory=deque[tuple[int, Navigation]])
     _other_pending: deque[tuple[GpsTime | None, Source, Navigation]] = field(
         default_factory=deque[tuple[GpsTime | None, Source, Navigation]]
@@ -130,6 +152,11 @@ class Session:
         if self.options.pairing.replay and self._ended_navigation < self.options.navigation_streams:
             return None
         return self.pairing.next_pair(now_s)
+
+    def given(self, pair: Pair) -> Given:
+        """Return what counts for a pair: what all navigation data that precede it say; the ephemerides are in the table then."""
+        self._apply(pair)
+        return Given(self.klobuchar, self._base_position(), self.glonass_bias, self._ends())
 
     def solve(self, pair: Pair) -> Solution:
         """Return the solution of one pair, with all navigation data that precede it."""
@@ -187,7 +214,8 @@ class Session:
 
     def _take(self, source: Source, message: Navigation) -> None:
         if isinstance(message, KeplerEphemeris | GlonassEphemeris):
-            self.table.add(message)
+            if self.table.add(message) and self.issues is not None:
+                self.issues.append(message)
         elif isinstance(message, KlobucharParameters):
             if self.klobuchar is None or message.system == "G" or self.klobuchar.system != "G":
                 self.klobuchar = message
@@ -216,8 +244,12 @@ class Session:
                 raise OptionError(f"{source}_antenna: {found}")
             if str(found) != str(self._antennas.get(source, "")):  # the engine begins anew with another antenna, not with its name
                 self._antennas[source] = found
+        self.engine.antennas(*self._ends())
+
+    def _ends(self) -> tuple[Antenna | None, Antenna | None]:
+        """Return the antennas of rover and base that are known."""
         rover, base = self._antennas.get(Source.ROVER), self._antennas.get(Source.BASE)
-        self.engine.antennas(rover if isinstance(rover, Antenna) else None, base if isinstance(base, Antenna) else None)
+        return rover if isinstance(rover, Antenna) else None, base if isinstance(base, Antenna) else None
 
     def _base_position(self) -> "np.ndarray[tuple[int], np.dtype[np.float64]] | None":
         position = self.options.base_position_ecef_m

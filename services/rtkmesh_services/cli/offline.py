@@ -1,9 +1,10 @@
 """Recordings through one solver session: what ``rtkmesh solve`` does between its options and its output."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from enum import StrEnum
 from itertools import chain
 from pathlib import Path
 from time import perf_counter
@@ -12,12 +13,25 @@ from typing import Any, Final
 from rtkmesh.codecs.messages import Message
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh.rtk.backward import Backward, Course, Taken
+from rtkmesh.rtk.combination import combine_runs
+from rtkmesh.rtk.pairing import Pair
 from rtkmesh.rtk.session import EndOfStream, Session, SessionOptions, Source
 from rtkmesh.rtk.solution import Reason, Solution, Status
+from rtkmesh.rtk.track import Track, solutions_of
+from rtkmesh_services.cli.spool import Spool
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.recording import Recording, RecordingKind, open_recording
 
 _WITHOUT_EPOCHS: Final = frozenset({RecordingKind.NAVIGATION, RecordingKind.NMEA})
+
+
+class SolutionType(StrEnum):
+    """Which way through the recordings (RTKLIB's pos1-soltype)."""
+
+    FORWARD = "forward"
+    BACKWARD = "backward"
+    COMBINED = "combined"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +62,7 @@ class Inputs:
 
 @dataclass(slots=True)
 class Tally:
-    """What a run gave."""
+    """What a run gave; ``first_fix_s`` is counted the way that the run went."""
 
     epochs: int = 0
     statuses: Counter[Status] = field(default_factory=Counter[Status])
@@ -69,7 +83,7 @@ class Tally:
         self.first = self.first or solution.time
         self.last = solution.time
         if solution.status is Status.FIX and self.first_fix_s is None:
-            self.first_fix_s = solution.time - self.first
+            self.first_fix_s = abs(solution.time - self.first)
         if solution.age_s > self.largest_age_s:
             self.largest_age_s = solution.age_s
 
@@ -121,38 +135,107 @@ def _first_epoch(path: Path) -> GpsTime | None:
     return next((message.time for message in open_recording(path).messages() if isinstance(message, Epoch)), None)
 
 
+def _nobody() -> None:
+    """Watch nothing."""
+
+
 @dataclass(slots=True)
 class Run:
-    """One run over recordings: ``solutions`` may be iterated once; ``tally`` counts what it has given so far."""
+    """One run over recordings: ``solutions`` may be iterated once.
+
+    ``tally`` counts what it has given so far; ``passes`` what each way through the recordings gave, where there are two; ``combined`` how
+    many epochs were combined how (``combination.How``). ``watch`` is called after every epoch, of either way.
+    """
 
     inputs: Inputs
     options: SessionOptions
+    kind: SolutionType = SolutionType.FORWARD
+    watch: Callable[[], None] = _nobody
     tally: Tally = field(default_factory=Tally)
+    passes: dict[SolutionType, Tally] = field(default_factory=dict[SolutionType, Tally])
+    combined: dict[str, int] = field(default_factory=dict[str, int])
     session: Session = field(init=False)
+    turned: float = 0.0  # part of the way back that is done
+    _begun_s: float = 0.0
 
     def __post_init__(self) -> None:
         self.session = Session(self.options)
 
+    @property
+    def progress(self) -> float:
+        """Which part of the work is done, 0 to 1."""
+        read = self.inputs.position / max(1, self.inputs.size)
+        return read if self.kind is SolutionType.FORWARD else 0.5 * (read + self.turned)
+
     def solutions(self) -> Iterator[Solution]:
-        """Yield the solutions of all rover epochs in time order."""
+        """Yield the solutions of all rover epochs in rising order of time."""
+        self._begun_s = perf_counter()
+        for solution in self._forward() if self.kind is SolutionType.FORWARD else self._both():
+            self.tally.total_s = perf_counter() - self._begun_s
+            yield solution
+
+    def _forward(self) -> Iterator[Solution]:
+        for pair in self._pairs(self.tally):
+            yield self._solved(pair, self.tally)
+
+    def _both(self) -> Iterator[Solution]:
+        """Go forward, keeping what the engine takes, and back over that; yield what came of it."""
+        course, forward, combining = Course(self.session), Track(), self.kind is SolutionType.COMBINED
+        there, back = Tally(), Tally() if combining else self.tally
+        with Spool[Taken]() as spool:
+            for pair in self._pairs(there):
+                spool.append(course.take(pair))
+                if combining:
+                    forward.append(self._solved(pair, there))
+                else:
+                    self.watch()
+            there.total_s = perf_counter() - self._begun_s
+            backward = self._backward(course, spool, back)
+        if not combining:
+            yield from solutions_of(backward.table[::-1])
+            return
+        self.passes = {SolutionType.FORWARD: there, SolutionType.BACKWARD: back}
+        result = combine_runs(forward.table, backward.table[::-1])
+        self.combined = result.counts()
+        self.tally.solving_s += there.solving_s + back.solving_s
+        for solution in solutions_of(result.table):
+            self.tally.count(solution)
+            yield solution
+
+    def _backward(self, course: Course, spool: Spool[Taken], tally: Tally) -> Track:
+        """Return the solutions of the way back, in falling order of time."""
+        track, begun, started = Track(), perf_counter(), perf_counter()
+        for solution in Backward(self.options.rtk, course).solutions(spool.backward()):
+            tally.solving_s += perf_counter() - started
+            tally.count(solution)
+            track.append(solution)
+            self.turned = len(track) / len(spool)
+            self.watch()
+            started = perf_counter()
+        tally.total_s = perf_counter() - begun
+        return track
+
+    def _solved(self, pair: Pair, tally: Tally) -> Solution:
+        started = perf_counter()
+        solution = self.session.solve(pair)
+        tally.solving_s += perf_counter() - started
+        tally.count(solution)
+        self.watch()
+        return solution
+
+    def _pairs(self, tally: Tally) -> Iterator[Pair]:
+        """Yield all rover epochs with their base epochs, when what precedes them has been read; pairing is part of solving."""
         session = self.session
-        begun = perf_counter()
         for source, message in _merged(self.inputs):
             session.feed(source, message)
             if isinstance(message, Epoch | EndOfStream):
-                yield from self._ready(session)
-            self.tally.total_s = perf_counter() - begun
+                started = perf_counter()
+                while (pair := session.next_pair(0.0)) is not None:
+                    tally.solving_s += perf_counter() - started
+                    yield pair
+                    started = perf_counter()
             if session.rover_ended and not len(session.pairing):
                 return
-
-    def _ready(self, session: Session) -> Iterator[Solution]:
-        started = perf_counter()
-        while (pair := session.next_pair(0.0)) is not None:
-            solution = session.solve(pair)
-            self.tally.solving_s += perf_counter() - started
-            self.tally.count(solution)
-            yield solution
-            started = perf_counter()
 
     def faults(self) -> dict[str, dict[str, int]]:
         """Return per file what was rejected while reading it, by reason."""

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rtkmesh.gnss.time import GpsTime
     from rtkmesh.rtk.solution import Solution
     from rtkmesh_services.cli.offline import Run
-    from rtkmesh_services.cli.solve_display import ProgressBar
 
 Position = tuple[float, float, float]
 
@@ -41,6 +40,7 @@ rtkmesh solve --rover rover.obs --base base.obs --nav base.nav --out rover.pos
 rtkmesh solve --rover rover.ubx --base base.ubx --base-llh 52.1,4.4,43.2
 rtkmesh solve --rover rover.rtcm3 --base base.rtcm3 --date 2018-07-14 --json
 rtkmesh solve --mode moving-base --rover front.ubx --base rear.ubx --format enu
+rtkmesh solve --direction combined --rover rover.ubx --base base.ubx --out rover.pos
 rtkmesh solve --mode single --rover rover.ubx.gz
 """
 
@@ -55,6 +55,13 @@ class Request:
         tuple[Path, ...], Parameter(negative="", show_default=False, help="Further recording with navigation data; may be repeated.")
     ] = ()
     mode: Annotated[ModeName | None, Parameter(help="What moves. Default: kinematic.")] = None
+    direction: Annotated[
+        Literal["forward", "backward", "combined"],
+        Parameter(
+            help="Which way through the recordings (RTKLIB's pos1-soltype). Combined: forward, then backward, and of each epoch what both "
+            "know of it; a fix that one direction contradicts is not kept unless the evidence is for it."
+        ),
+    ] = "forward"
     frequencies: Annotated[int | None, Parameter(help="Carrier bands used per satellite, 1 to 5. Default: 2.")] = None
     systems: Annotated[
         str | None,
@@ -106,6 +113,8 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     table, folder = _solver_table(request)
     if request.base is None and table.mode != "single":
         raise SourceError(f"mode '{table.mode}' needs --base (or say --mode single)")
+    if table.mode == "single" and request.direction != "forward":
+        raise SourceError(f"--direction {request.direction}: mode 'single' has no memory, all directions are the same")
     if table.mode == "single" and request.coordinates == "enu":
         raise SourceError("--format enu is the baseline from the base, and mode 'single' has none")
     if table.mode == "fixed" and table.fixed_position_ecef_m is None:
@@ -113,15 +122,16 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     position = _base_position(request)
     date = _date(request.date) if request.date else None
 
-    from rtkmesh_services.cli.offline import Run, open_inputs
+    from rtkmesh_services.cli.offline import Run, SolutionType, open_inputs
     from rtkmesh_services.cli.solve_display import ProgressBar, report
     from rtkmesh_services.mapping.options import session_options
 
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date)
-    run = Run(inputs, session_options(table, replay=True, base_position_ecef_m=position, folder=folder))
+    options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
+    run = Run(inputs, options, SolutionType(request.direction))
     try:
-        with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()) as bar:
-            _write(run, run.solutions(), request, output, bar)
+        with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()):
+            _write(run, run.solutions(), request, output)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -226,14 +236,13 @@ def _output(request: Request) -> AbstractContextManager[TextIO | None]:
         raise SourceError(f"{request.out}: {error.strerror}") from error
 
 
-def _write(run: "Run", results: "Iterator[Solution]", request: Request, output: TextIO | None, bar: "ProgressBar") -> None:
+def _write(run: "Run", results: "Iterator[Solution]", request: Request, output: TextIO | None) -> None:
     """Write the header before the first solution, then a line per solution as it comes."""
     from rtkmesh.codecs.pos import Coordinates, PosFormat, TimeForm, pos_header, pos_line
 
     form = PosFormat(Coordinates(request.coordinates), TimeForm(request.time_form))
     headed = False
     for solution in results:
-        bar.advance()
         if output is None:
             continue
         if not headed:
@@ -252,6 +261,7 @@ def _notes(run: "Run", first: "Solution") -> list[tuple[str, str]]:
         ("obs start", time_note(first.time)),
         ("pos mode", options.mode.value),
         ("freqs", str(options.frequencies)),
+        *([] if options.mode.value == "single" else [("solution", run.kind.value)]),
         ("elev mask", f"{degrees(options.elevation_mask_rad):.1f} deg"),
         ("navi sys", options.systems),
         ("amb res", options.ambiguity.mode.value),

@@ -3,14 +3,14 @@
 import json
 import sys
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from rtkmesh.rtk.solution import Reason, Status
-from rtkmesh_services.cli.offline import Run
+from rtkmesh_services.cli.offline import Run, SolutionType
 
 _DRAW_EVERY: Final = 50  # epochs
 _HINTS: Final = {
@@ -20,10 +20,11 @@ _HINTS: Final = {
 
 
 class ProgressBar:
-    """A bar over the bytes of the recordings, on standard error; draws nothing unless ``shown``."""
+    """A bar over all ways through the recordings, on standard error; draws nothing unless ``shown``."""
 
     def __init__(self, run: Run, *, shown: bool) -> None:
         self._run, self._countdown = run, 1
+        run.watch = self.advance
         self._progress: Progress | None = None
         if shown:
             columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
@@ -31,7 +32,7 @@ class ProgressBar:
 
     def __enter__(self) -> Self:
         if self._progress is not None:
-            self._task = self._progress.add_task("solving", total=self._run.inputs.size)
+            self._task = self._progress.add_task("solving", total=1.0)
             self._progress.start()
         return self
 
@@ -45,17 +46,29 @@ class ProgressBar:
         if self._progress is None or self._countdown > 0:
             return
         self._countdown = _DRAW_EVERY
-        tally = self._run.tally
-        text = f"{tally.epochs} epochs, {tally.percent(Status.FIX):.1f} % fixed"
-        self._progress.update(self._task, completed=self._run.inputs.position, description=text)
+        self._progress.update(self._task, completed=self._run.progress, description=self._text())
+
+    def _text(self) -> str:
+        tally, turned = self._run.tally, self._run.turned
+        if self._run.kind is SolutionType.FORWARD or (turned and self._run.kind is SolutionType.BACKWARD):
+            return f"{tally.epochs} epochs, {tally.percent(Status.FIX):.1f} % fixed"
+        return f"backward, {100.0 * turned:.0f} %" if turned else "forward"
 
 
 def report(run: Run, *, as_json: bool, quiet: bool) -> None:
     """Print the summary; what the recordings held that could not be used is part of it."""
     if as_json:
-        sys.stdout.write(json.dumps({**run.tally.as_dict(), "antennas": _antennas(run), "rejected": run.faults()}, indent=1) + "\n")
+        sys.stdout.write(json.dumps({**_figures(run), "antennas": _antennas(run), "rejected": run.faults()}, indent=1) + "\n")
     elif not quiet:
         Console(stderr=True).print(_table(run))
+
+
+def _figures(run: Run) -> dict[str, Any]:
+    """Return the figures of what was written, and where two ways were combined, of each, with how many epochs were combined how."""
+    figures: dict[str, Any] = {"direction": run.kind.value, **run.tally.as_dict()}
+    if run.passes:
+        figures |= {"directions": {kind.value: tally.as_dict() for kind, tally in run.passes.items()}, "combined": run.combined}
+    return figures
 
 
 def _antennas(run: Run) -> dict[str, str | bool]:
@@ -66,9 +79,15 @@ def _table(run: Run) -> Table:
     tally = run.tally
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("epochs", str(tally.epochs))
+    if run.kind is not SolutionType.FORWARD:
+        table.add_row("direction", run.kind.value)
     for status in (Status.FIX, Status.FLOAT, Status.DGPS, Status.SINGLE, Status.NONE):
         if tally.statuses[status]:
             table.add_row(status.name.lower(), f"{tally.percent(status):.1f} %")
+    for kind, one in run.passes.items():
+        table.add_row(f"fixed {kind.value}", f"{one.percent(Status.FIX):.1f} %")
+    if run.combined:
+        table.add_row("combined", ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in run.combined.items()))
     if tally.first_fix_s is not None:
         table.add_row("first fix", f"after {tally.first_fix_s:.1f} s")
     table.add_row("largest age", f"{tally.largest_age_s:.1f} s")
