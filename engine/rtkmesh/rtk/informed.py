@@ -18,7 +18,7 @@ from rtkmesh.rtk.ambiguity import Candidates, Search, add_constraints, held_diff
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.filter import OK, posterior
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
-from rtkmesh.rtk.noise import IONOSPHERE_PPM
+from rtkmesh.rtk.noise import IONOSPHERE_PPM, ZENITH_SIGMA_M
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, SLOPE_KEY, ZENITH_KEY, Filter, place_of
@@ -161,7 +161,7 @@ def inform(before: Filter, witness: Filter, d: Differences, motion: Motion, use:
 
 @kernel
 def strain(f: Filter, walks: Walks) -> float:
-    """Return the larger of: the zenith delay in sigmas of a new one, the spread of the ionospheres (in each system) in theirs.
+    """Return the larger of: the zenith delay in its sigmas, the spread of the ionospheres (in each system) in theirs.
 
     What all of a system share is not known: it is part of the clocks.
     """
@@ -169,7 +169,7 @@ def strain(f: Filter, walks: Walks) -> float:
     for k in range(len(f.keys)):
         key = f.keys[k]
         if key == ZENITH_KEY:
-            zenith = abs(f.x[DYNAMIC + k]) / walks.zenith_sigma_m
+            zenith = abs(f.x[DYNAMIC + k]) / ZENITH_SIGMA_M
         elif key < FIRST_PAIR_KEY and key != SLOPE_KEY:
             sums[key // 64] += f.x[DYNAMIC + k]
             members[key // 64] += 1.0

@@ -16,6 +16,7 @@ CN0_KNEE_DBHZ: Final = 34.0  # where thermal noise and obstructions double the v
 UNALIGNED_CODE_M: Final = 0.6  # two codes of one band: differential code biases of the satellites (IGS DCB products: 0.3 to 1 m) stay in
 CLOCK_DRIFT_MPS: Final = 1.5e-3  # satellite clock over the age of a base epoch: 5e-12 s/s (caesium of GPS IIF; rubidium is 5 times better)
 IONOSPHERE_PPM: Final = 0.5e-6  # ionospheric gradient that stays in where it is no state
+ZENITH_SIGMA_M: Final = 0.02  # by how much zenith delays of two places differ where that is a state
 SCALE_PRIOR_DOF: Final = 3.0  # how many residuals the default code sigma is worth against the measured ones
 SCALE_MEMORY_DOF: Final = 400.0  # how many are remembered: some tens of seconds at 1 Hz, code multipath lasts as long
 SCALE_LEAST: Final = 0.02  # variance factor: survey antennas (0.15 m)

@@ -14,7 +14,7 @@ from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite,
 from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, settle
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import SLOPE, SLOPE_SIGMA, ResolveSetup
-from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, learn_phases, phase_factor
+from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
@@ -30,8 +30,9 @@ Matrix = NDArray[np.float64]
 LONG_BASELINE_M: Final = 70e3
 _IONOSPHERE_SIGMA_PPM: Final = 2.0e-6
 _IONOSPHERE_WALK_PPM: Final = 0.024e-6  # per square root of second
-_ZENITH_SIGMA_M: Final = 0.02
 _ZENITH_WALK_M: Final = 5e-5  # per square root of second
+# Between antennas that are not both calibrated the zenith delay has little freedom: their patterns would take it for decimetres of height.
+_ZENITH_HELD: Final = (0.0, 0.002)
 _SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
 
@@ -108,8 +109,10 @@ def conditions(setup: Setup, length_m: float, age_s: float, base_s: float) -> Co
 @kernel
 def walks_of(setup: Setup, length_m: float, memory: Vector) -> Walks:
     """Return the random walks of the keyed states for a baseline of this length."""
+    calibrated = len(setup.antennas) > 0
+    zenith = (_ZENITH_WALK_M, ZENITH_SIGMA_M) if calibrated else _ZENITH_HELD
     return Walks(
-        setup.ambiguity_walk_cyc, _IONOSPHERE_WALK_PPM * length_m, _IONOSPHERE_SIGMA_PPM * length_m, _ZENITH_WALK_M, _ZENITH_SIGMA_M,
+        setup.ambiguity_walk_cyc, _IONOSPHERE_WALK_PPM * length_m, _IONOSPHERE_SIGMA_PPM * length_m, zenith[0], zenith[1],
         _SLOPE_WALK_M, (memory[SLOPE], memory[SLOPE_SIGMA]), _CODE_MEMORY_S,
     )  # fmt: skip
 
