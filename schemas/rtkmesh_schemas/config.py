@@ -47,13 +47,19 @@ class HubTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, file:, sim:.
+    """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, ntrip:, ntrips:, file:, stdin:, sim:.
+
+    ``fallback`` are sources that are used, in their order, while those before them have given nothing for ``fallback_after_s``; one
+    that is better placed is taken again when it has been back for ``return_after_s``.
 
     ``position_ecef_m`` or ``position_llh_deg`` (lat, lon, ellipsoidal height) is the antenna's known position and replaces what the
     stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``navigation`` marks a source of ephemerides only.
     """
 
     source: str
+    fallback: Annotated[tuple[str, ...], Meta(max_length=8)] = ()
+    fallback_after_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 15.0
+    return_after_s: Annotated[float, Meta(ge=1.0, le=86400.0)] = 120.0
     position_ecef_m: EcefVector | None = None
     position_llh_deg: GeodeticVector | None = None
     date: str = ""

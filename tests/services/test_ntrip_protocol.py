@@ -160,7 +160,8 @@ TABLE = (
     b"STR;OLD;Berlin too;RTCM 2.3;;2;GPS;X;DEU;52.50;13.40;0;0\r\n"
     b"STR;VRS;Network;RTCM 3.1;;2;GPS;X;DEU;52.50;13.40;1;1;x;none;B;N;4800;\r\n"
     b"STR;\r\nSTR\r\nNET;X;y\r\nENDSOURCETABLE\r\n"
-) + b"STR;UML\xe4UT;x\r\n"
+    b"STR;UML\xe4UT;x\r\n"
+)
 
 
 def test_a_source_table_is_read_as_far_as_it_makes_sense():

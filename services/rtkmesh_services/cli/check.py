@@ -73,6 +73,8 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
 
     for id, source in deployment.ingest.items():  # noqa: A001  the word of the design
         examine(("ingest", id, "source"), partial(_look_at_source, source.source, simulations))
+        for index, url in enumerate(source.fallback):
+            examine(("ingest", id, "fallback"), partial(_look_at_fallback, source.source, url, index))
         examine(("ingest", id, "date"), partial(_look_at_date, source.date))
     for id, solver in deployment.solver.items():  # noqa: A001
         antex, before = file.parent / deployment.deployment.config_folder / solver.antex if solver.antex else None, len(errors)
@@ -94,6 +96,17 @@ def _look_at_source(url: str, simulations: bool) -> None:
         raise SourceError(f"{source.path!r}: no such file")
     if source.scheme == "sim" and simulations:
         _look_at_simulation(source)
+    if (authority := source.options.get("ca")) and not Path(authority).is_file():
+        raise SourceError(f"ca={authority!r}: no such file")
+
+
+def _look_at_fallback(first: str, url: str, index: int) -> None:
+    from rtkmesh_services.ingest.urls import parse_source
+
+    source = parse_source(url)
+    if any(scheme in ("file", "stdin") for scheme in (source.scheme, first.partition("://")[0])):
+        raise SourceError(f"[{index}]: a recording neither has a fallback nor is one")
+    _look_at_source(url, simulations=False)
 
 
 def _look_at_simulation(source: "SourceUrl") -> None:

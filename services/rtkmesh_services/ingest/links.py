@@ -131,10 +131,10 @@ class Link:
                 if not data:
                     continue
                 now_ns = time.monotonic_ns()
-                self._sink(Chunk(data, now_ns, self._source))
                 if not first_s:
                     first_s = now_ns * 1e-9
                     self._say(LinkState.CONNECTED, wire.detail)
+                self._sink(Chunk(data, now_ns, self._source))
                 self._heard_s = max(1e-6, now_ns * 1e-9 - first_s)
         finally:
             self._wire = None

@@ -126,22 +126,22 @@ def _first_epoch(messages: Iterator[Message]) -> GpsTime | None:
 class Simulation:
     """A simulated receiver: sends the bytes of each epoch at its instant of the host's UTC clock."""
 
-    def __init__(self, url: SourceUrl, clock: Clock, sink: Callable[[Chunk | LinkReport], None]) -> None:
-        self._url, self._clock, self._sink = url, clock, sink
+    def __init__(self, url: SourceUrl, clock: Clock, sink: Callable[[Chunk | LinkReport], None], source: int = 0) -> None:
+        self._url, self._clock, self._sink, self._source = url, clock, sink, source
 
     def run(self, stopping: threading.Event) -> None:
         """Send until ``stopping`` is set."""
         try:
             simulated = open_simulation(self._url, gps_now(self._clock))
         except OptionError as error:
-            self._sink(LinkReport(LinkState.ERROR, f"{self._url.path}: {error}"))
+            self._sink(LinkReport(LinkState.ERROR, f"{self._url.path}: {error}", self._source))
             return
-        self._sink(LinkReport(LinkState.CONNECTED, self._url.path))
+        self._sink(LinkReport(LinkState.CONNECTED, self._url.path, self._source))
         pause_s = 0.4 / self._url.number("rate", DEFAULT_RATE_HZ)
         for epoch in simulated.epochs():
             if stopping.wait(max(0.0, epoch.time - gps_now(self._clock))):
                 return
-            self._sink(Chunk(epoch.data, self._clock.mono_ns()))
+            self._sink(Chunk(epoch.data, self._clock.mono_ns(), self._source))
             if stopping.wait(pause_s):  # this epoch is to be solved before the next one is computed
                 return
 
