@@ -154,12 +154,25 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class OutputTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[output.ID]``: one output stream of a solver: ``target`` is a URL (file:, tcp-listen:, tcp:, udp:)."""
+    """``[output.ID]``: one output stream. ``target`` is a URL: file:, tcp-listen:, tcp:, udp:; for receivers also ntrip:, ntrips: (feed a
+    caster's mount point) and ntrip-caster: (be one).
 
-    solver: str
+    Either ``solver``: its solutions, in a ``format``; or ``receiver``: its whole frames as they came, of one ``protocol`` and, where
+    ``messages`` names RTCM 3 message numbers, only those. A caster has ``mounts`` (mount point = receiver) and ``users`` (name =
+    password); ``anonymous`` lets everybody read who can reach it.
+    """
+
     target: str
+    solver: str = ""
     format: Literal["llh", "xyz", "enu", "json"] = "llh"
     time_form: Literal["calendar", "tow"] = "calendar"
+    receiver: str = ""
+    mounts: dict[str, str] = {}
+    protocol: Literal["rtcm3", "ubx", "nmea", "all"] = "rtcm3"
+    messages: tuple[Annotated[int, Meta(ge=1, le=4095)], ...] = ()
+    users: dict[str, str] = {}
+    anonymous: bool = False
+    maximum_clients: Annotated[int, Meta(ge=1, le=1000)] = 64
 
 
 class RecorderTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

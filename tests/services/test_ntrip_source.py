@@ -16,13 +16,13 @@ from tests.services.scripted_caster import Script, ScriptedCaster, chunked
 
 from rtkmesh.codecs.rtcm3_encode import frame
 from rtkmesh_services.errors import RefusedError, SourceError
-from rtkmesh_services.ingest.backoff import CASTER, LOCAL, Backoff, Pauses
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
 from rtkmesh_services.ingest.ntrip_source import FindPlace
 from rtkmesh_services.ingest.urls import parse_source
 from rtkmesh_services.ntrip.address import CasterAddress
 from rtkmesh_services.ntrip.connection import fetch_table
 from rtkmesh_services.ntrip.gga import Place
+from rtkmesh_services.runtime.backoff import CASTER, LOCAL, Backoff, Pauses
 
 WAIT_S = 10.0
 FRAMES = [frame(bytes([0xFF, 0xE0 | number]) + bytes(range(40 + number))) for number in range(8)]

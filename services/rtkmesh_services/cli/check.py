@@ -58,7 +58,7 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
 
     ``simulations``: also what the simulator does not have, which costs a second for loading it.
     """
-    from rtkmesh_services.output.targets import parse_target
+    from rtkmesh_services.output.targets import check_output
     from rtkmesh_services.runtime.logs import clean
     from rtkmesh_services.runtime.toml_lines import lines_of
 
@@ -83,7 +83,7 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
             if len(errors) == before:  # names may be of that file
                 examine(("solver", id, key), partial(_look_at_antenna, name, antex))
     for id, output in deployment.output.items():  # noqa: A001
-        examine(("output", id, "target"), partial(parse_target, output.target))
+        examine(("output", id, "target"), partial(check_output, output))
     return sorted(errors, key=lambda error: error.line or 0)
 
 

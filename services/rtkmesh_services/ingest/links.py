@@ -15,11 +15,11 @@ from typing import Final
 import serial
 
 from rtkmesh_services.errors import SourceError
-from rtkmesh_services.ingest.backoff import Backoff, Pauses
 from rtkmesh_services.ingest.ntrip_source import FindPlace, NtripSource
 from rtkmesh_services.ingest.serial_ports import SerialPort
 from rtkmesh_services.ingest.urls import SourceUrl
 from rtkmesh_services.ingest.wires import POLL_S, Opener, ReopenError, SilentError, TcpClient, TcpServer, UdpSocket, Wire
+from rtkmesh_services.runtime.backoff import Backoff, Pauses
 
 WRITE_QUEUE: Final = 256
 

@@ -9,13 +9,13 @@ from math import isfinite
 from typing import Final
 
 from rtkmesh_services.errors import RefusedError, SourceError
-from rtkmesh_services.ingest.backoff import CASTER, Backoff
 from rtkmesh_services.ingest.urls import SourceUrl, wants_nearest
 from rtkmesh_services.ingest.wires import POLL_S, ReopenError, SilentError, Wire
 from rtkmesh_services.ntrip.address import CasterAddress
 from rtkmesh_services.ntrip.connection import AnswerError, CasterConnection, TlsOptions, fetch_table, open_stream
 from rtkmesh_services.ntrip.gga import Place, gga_sentence
 from rtkmesh_services.ntrip.source_table import MountPoint, nearest_mount
+from rtkmesh_services.runtime.backoff import CASTER, Backoff
 
 TIMEOUT_S: Final = 30.0
 GGA_PERIOD_S: Final = 10.0

@@ -6,9 +6,9 @@ import threading
 import serial
 
 from rtkmesh_services.errors import SourceError
-from rtkmesh_services.ingest.backoff import LOCAL
 from rtkmesh_services.ingest.urls import SourceUrl
 from rtkmesh_services.ingest.wires import POLL_S, READ_BYTES, Wire
+from rtkmesh_services.runtime.backoff import LOCAL
 
 
 class SerialWire:

@@ -6,8 +6,8 @@ import time
 from typing import Final, Protocol
 
 from rtkmesh_services.errors import SourceError
-from rtkmesh_services.ingest.backoff import LOCAL, Backoff
 from rtkmesh_services.ingest.urls import SourceUrl
+from rtkmesh_services.runtime.backoff import LOCAL, Backoff
 
 READ_BYTES: Final = 65536
 POLL_S: Final = 0.25  # how soon a blocked reader notices that it shall stop

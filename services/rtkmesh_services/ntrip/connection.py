@@ -3,6 +3,7 @@
 Everything is bounded: connecting and the answer by ``ANSWER_S``, a source table by ``MAXIMUM_TABLE`` bytes and ``TABLE_S``.
 """
 
+import select
 import socket
 import ssl
 from dataclasses import dataclass, replace
@@ -97,6 +98,11 @@ class CasterConnection:
     def write(self, data: bytes) -> None:
         """Send bytes."""
         self._socket.sendall(data)
+
+    def has_news(self) -> bool:
+        """Return whether there is something to read, or the end."""
+        readable, _, _ = select.select([self._socket], [], [], 0.0)
+        return bool(readable)
 
     def set_timeout(self, seconds: float) -> None:
         """Set how long ``read`` and ``write`` wait."""

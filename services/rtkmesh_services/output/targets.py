@@ -2,11 +2,15 @@
 
 import socket
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
+from rtkmesh_schemas.config import OutputTable
 from rtkmesh_services.errors import SourceError
+from rtkmesh_services.ntrip.address import NTRIP_SCHEMES, PORT, CasterAddress, parse_caster, shown_url
+from rtkmesh_services.ntrip.connection import TlsOptions
 
 SEND_BUFFER: Final = 1 << 20  # bytes that a TCP client may be behind before it is dropped
 RETRY_TICKS: Final = 10
@@ -161,26 +165,78 @@ class UdpTarget:
 
 
 _OPEN: Final[dict[str, Callable[[str, int], Target]]] = {"tcp-listen": TcpListenTarget, "tcp": TcpTarget, "udp": UdpTarget}
+CASTER_SCHEME: Final = "ntrip-caster"
+_PUSH_OPTIONS: Final = {"version": "1 or 2; default 2 with a user, 1 without", "ca": "as for sources", "verify": "as for sources"}
+
+
+@dataclass(frozen=True, slots=True)
+class TargetUrl:
+    """Where a stream goes: a path, or host and port, or a mount point of a caster that is fed."""
+
+    scheme: str
+    path: str = ""
+    host: str = ""
+    port: int = 0
+    caster: CasterAddress | None = None
+    version: int = 0
+    tls: TlsOptions = field(default_factory=TlsOptions)
+
+    def __str__(self) -> str:
+        return str(self.caster) if self.caster is not None else f"{self.scheme}://{self.path or f'{self.host}:{self.port}'}"
 
 
 def open_target(url: str) -> Target:
     """Return the target of a URL: file://PATH, tcp-listen://HOST:PORT, tcp://HOST:PORT, udp://HOST:PORT."""
-    scheme, where, port = parse_target(url)
-    return FileTarget(Path(where)) if scheme == "file" else _OPEN[scheme](where or "127.0.0.1", port)
+    target = parse_target(url)
+    return FileTarget(Path(target.path)) if target.scheme == "file" else _OPEN[target.scheme](target.host, target.port)
 
 
-def parse_target(url: str) -> tuple[str, str, int]:
-    """Return (scheme, path or host, port) of a target's URL; SourceError says what is wrong with it."""
+def parse_target(url: str) -> TargetUrl:
+    """Return the parts of a target's URL; SourceError says what is wrong with it."""
     scheme, found, rest = url.partition("://")
     if scheme == "file" and rest:
-        return scheme, rest, 0
-    if not found or scheme not in _OPEN:
-        raise SourceError(f"{url!r}: unknown target; targets are file://, {', '.join(s + '://' for s in _OPEN)}")
+        return TargetUrl(scheme, path=rest)
+    if scheme in NTRIP_SCHEMES:
+        return _push_target(url, scheme)
+    if not found or scheme not in (*_OPEN, CASTER_SCHEME):
+        known = ("file", *_OPEN, *NTRIP_SCHEMES, CASTER_SCHEME)
+        raise SourceError(f"{shown_url(url)!r}: unknown target; targets are {', '.join(s + '://' for s in known)}")
     parts = urlsplit(url)
     try:
-        port = parts.port
+        port = parts.port or (PORT if scheme == CASTER_SCHEME else None)
     except ValueError:
         port = None
     if not port:
-        raise SourceError(f"{url!r}: needs host:port")
-    return scheme, parts.hostname or "", port
+        raise SourceError(f"{shown_url(url)!r}: needs host:port")
+    return TargetUrl(scheme, host=parts.hostname or "127.0.0.1", port=port)
+
+
+def check_output(table: OutputTable) -> None:
+    """SourceError for a target that does not fit what is to be sent, or that lets in everybody without being told to."""
+    target = parse_target(table.target)
+    if table.solver and (target.caster is not None or target.scheme == CASTER_SCHEME):
+        raise SourceError(f"'{target}': casters take a receiver's frames, not a solver's lines: say receiver or mounts")
+    if target.scheme == CASTER_SCHEME and not (table.users or table.anonymous or _is_loopback(target.host)):
+        raise SourceError(f"'{target}': everybody could read: say users, or anonymous = true to allow it")
+
+
+def _push_target(url: str, scheme: str) -> TargetUrl:
+    address, query = parse_caster(url)
+    if not address.mount:
+        raise SourceError(f"'{address}': says no mount point to feed")
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    for name, value in options.items():
+        allowed = {"version": ("1", "2"), "verify": ("yes", "no")}.get(name, (value,))
+        if name not in _PUSH_OPTIONS or (scheme == "ntrip" and name != "version"):
+            raise SourceError(f"'{address}': unknown option {name!r}; known are {', '.join(_PUSH_OPTIONS)}")
+        if value not in allowed:
+            raise SourceError(f"'{address}': {name}={value!r}: allowed are {', '.join(allowed)}")
+    version = int(options.get("version", "2" if address.user else "1"))
+    if version == 1 and any(character.isspace() for character in address.password):
+        raise SourceError(f"'{address}': a password with spaces needs version=2")
+    tls = TlsOptions(authority=options.get("ca", ""), verify=options.get("verify") != "no")
+    return TargetUrl(scheme, host=address.host, port=address.port, caster=address, version=version, tls=tls)
+
+
+def _is_loopback(host: str) -> bool:
+    return host in ("localhost", "::1") or host.startswith("127.")
