@@ -178,7 +178,8 @@ class NtripSource:
         best, last = nearest_mount(self._table or [], *place[:2]), self._row(self._chosen)
         where = f"{self._address.host}:{self._address.port}"
         if best is None:
-            raise RefusedError(f"{where}: none of {len(self._table or [])} mount points gives RTCM 3 of a known place", lasting=True)
+            count, self._table = len(self._table or []), None  # a caster that has just started may know more soon
+            raise SourceError(f"{where}: none of {count} mount points gives RTCM 3 of a known place")
         if (distance_km := best.distance_km(*place[:2])) > self._reach_km:
             text = f"{where}: the nearest mount point, {best.name}, is {distance_km:.0f} km away (max_distance={self._reach_km:.0f})"
             raise RefusedError(text, lasting=True)
