@@ -143,7 +143,9 @@ class Link:
     def _opener_of(self, url: SourceUrl, find_place: FindPlace | None) -> Opener:
         if url.caster is not None:
             return NtripSource(url, find_place, lambda text: self._say(LinkState.WAITING, text))
-        return {"serial": SerialPort, "tcp": TcpClient, "tcp-listen": TcpServer, "udp": UdpSocket}[url.scheme](url)
+        if url.scheme == "serial":
+            return SerialPort(url, lambda text: self._say(LinkState.WAITING, text))
+        return {"tcp": TcpClient, "tcp-listen": TcpServer, "udp": UdpSocket}[url.scheme](url)
 
     def _write_loop(self) -> None:
         while not self._stop.is_set():

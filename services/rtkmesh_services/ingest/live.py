@@ -17,6 +17,8 @@ from rtkmesh_services.ingest.urls import SourceUrl
 from rtkmesh_services.runtime.clock import Clock
 
 NOT_OPEN: Final = "not open"
+FIRST_FRAME_BYTES: Final = 4096
+NO_FRAME_BYTES: Final = 32768  # four of the longest frames
 
 
 class SimulatedLink:
@@ -48,6 +50,7 @@ class _Source:
     detail: str = ""
     origin: str = ""
     bytes: int = 0
+    unframed: int = 0  # bytes since the last whole frame
     heard_ns: int | None = None
     station: ReferenceStation | None = None
     bias: GlonassBias | None = None
@@ -111,6 +114,7 @@ class LiveSources:
             return [], False
         source.bytes, source.heard_ns = source.bytes + len(chunk.data), chunk.mono_ns
         frames = source.decoder.feed(chunk.data)
+        source.unframed = 0 if frames else source.unframed + len(chunk.data)
         switched = bool(frames) and self._failover.heard(chunk.source, chunk.mono_ns * 1e-9)
         if switched:
             self.start()
@@ -150,6 +154,17 @@ class LiveSources:
     def state(self, number: int) -> tuple[str, str]:
         """Return state and detail of a source."""
         return self._sources[number].state, self._sources[number].detail
+
+    def complaint(self) -> str:
+        """Return what is wrong with the bytes of the source in use, or nothing."""
+        source = self._sources[self.active]
+        if source.unframed < (NO_FRAME_BYTES if source.decoder.framing.frames else FIRST_FRAME_BYTES):
+            return ""
+        text = f"{source.detail}: {source.unframed} bytes without a whole frame"
+        if source.url.scheme != "serial":
+            return f"{text}: no UBX, RTCM 3 or NMEA comes from there"
+        hint = "" if source.url.options.get("baud") == "auto" else "; baud=auto finds it"
+        return f"{text}: looks like the wrong baud rate{hint}"
 
     def statuses(self, now_ns: int) -> list[InputStatus]:
         """Return each source's status; that of the one in use first."""

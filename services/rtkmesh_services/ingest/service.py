@@ -297,6 +297,8 @@ class IngestService(Service):
             return State.DEGRADED, detail
         if age_s > STALE_S:
             return State.STALE, f"no data for {age_s:.0f} s ({word}{f': {detail}' if word == LinkState.WAITING else ''})"
+        if complaint := self._live.complaint():
+            return State.DEGRADED, complaint
         if active:
             first, why = self._live.state(0)
             return State.DEGRADED, f"using fallback {active}, {detail}; the first choice: {why if first == LinkState.ERROR else first}"

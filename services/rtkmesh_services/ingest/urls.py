@@ -1,5 +1,6 @@
 """Source URLs: ``scheme://where?option=value``, checked against the options that each scheme knows."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -22,7 +23,7 @@ _NTRIP: Final = {
 }
 # scheme -> options with their meaning (shown in the reference)
 SCHEMES: Final[dict[str, dict[str, str]]] = {
-    "serial": {"baud": "bits per second, default 115200"},
+    "serial": {"baud": "bits per second, default 115200; auto: found by listening"},
     "tcp": {"timeout": "seconds without data after which the connection is made anew, default 10"},
     "tcp-listen": {"timeout": "as tcp"},
     "udp": {},
@@ -35,6 +36,7 @@ SCHEMES: Final[dict[str, dict[str, str]]] = {
     "file": {"speed": "1 real time, 10 ten times as fast, max as fast as the consumers go (default 1)"},
     "sim": {"rate": "epochs per second, default 5", "seed": "default 1"},
 }
+USB_NAME: Final = re.compile(r"(?P<vid>[0-9A-Fa-f]{4}):(?P<pid>[0-9A-Fa-f]{4})(?::(?P<serial>.+))?")
 _PATHS: Final = ("file", "serial", "sim")
 _NUMBERS: Final = ("baud", "timeout", "rate", "seed", "gga_period", "max_distance")
 _WORDS: Final[dict[str, tuple[str, ...]]] = {
@@ -71,7 +73,7 @@ class SourceUrl:
         except ValueError:
             value = nan
         if not 0.0 <= value <= 1e9:
-            raise SourceError(f"{name}={text!r} is no number from 0 on")
+            raise SourceError(f"{name}={text!r} is no number from 0 on{', nor auto' if name == 'baud' else ''}")
         return value
 
     def word(self, name: str) -> str:
@@ -121,7 +123,8 @@ def parse_source(text: str) -> SourceUrl:
             raise SourceError(f"{shown_url(text)!r}: unknown option {name!r}{_hint(name, SCHEMES[scheme])}")
     url = SourceUrl(scheme, options=options, **where)
     for name in _NUMBERS:
-        url.number(name, 1.0)
+        if (name, options.get(name)) != ("baud", "auto"):
+            url.number(name, 1.0)
     for name in _WORDS:
         url.word(name)
     _check_mount(url)
@@ -138,6 +141,8 @@ def _located(text: str, scheme: str, rest: str) -> tuple[dict[str, Any], str]:
         path, _, query = rest.partition("?")
         if not path:
             raise SourceError(f"{text!r}: needs a path")
+        if scheme == "serial" and not (path.startswith(("/", "by-id/")) or USB_NAME.fullmatch(path)):
+            raise SourceError(f"{text!r}: names no port: /dev/NAME, by-id/NAME, VID:PID or VID:PID:SERIAL")
         return {**where, "path": unquote(path)}, query
     parts = urlsplit(text)
     try:
