@@ -176,10 +176,15 @@ class OutputTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class RecorderTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[recorder.ID]``: raw logs of receivers with receive times, append-only, one new file per start."""
+    """``[recorder.ID]``: raw logs of receivers with receive times, append-only, one new file per start, and every ``swap_hours``.
+
+    ``folder`` may have RTKLIB's keywords (%Y%m%d/%h ...). ``tags``: RTKLIB's .tag beside each log as well.
+    """
 
     folder: str
     receivers: tuple[str, ...] = ()
+    swap_hours: NotNegative = 0.0
+    tags: bool = False
 
 
 class Ros2Table(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

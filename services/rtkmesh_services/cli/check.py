@@ -94,6 +94,8 @@ def _look_at_source(url: str, simulations: bool) -> None:
     _ = source.speed
     if source.scheme == "file" and not Path(source.path).is_file():
         raise SourceError(f"{source.path!r}: no such file")
+    if source.word("times") == "yes" and not any(Path(source.path + ending).is_file() for ending in (".tag", ".times")):
+        raise SourceError(f"{source.path!r}: times=yes, but there is neither a .tag nor a .times beside it")
     if source.scheme == "sim" and simulations:
         _look_at_simulation(source)
     if (authority := source.options.get("ca")) and not Path(authority).is_file():

@@ -18,7 +18,7 @@ from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.ntrip_source import FindPlace, NtripSource
 from rtkmesh_services.ingest.serial_ports import SerialPort
 from rtkmesh_services.ingest.urls import SourceUrl
-from rtkmesh_services.ingest.wires import POLL_S, Opener, ReopenError, SilentError, TcpClient, TcpServer, UdpSocket, Wire
+from rtkmesh_services.ingest.wires import POLL_S, EndedError, Opener, ReopenError, SilentError, Stdin, TcpClient, TcpServer, UdpSocket, Wire
 from rtkmesh_services.runtime.backoff import Backoff, Pauses
 
 WRITE_QUEUE: Final = 256
@@ -94,7 +94,11 @@ class Link:
 
     def _read_loop(self) -> None:
         while not self._stop.is_set():
-            error = self._attempt()
+            try:
+                error = self._attempt()
+            except EndedError as end:
+                self._say(LinkState.ENDED, str(end))
+                break
             pause_s = self._pauses.after(self._heard_s, error)
             if error is not None:
                 text = str(error) if isinstance(error, SourceError) else f"{self._url}: {error.strerror or error}"
@@ -114,6 +118,8 @@ class Link:
             self._heard_s = max(self._heard_s, self._opener.backoff.good_s)
         except SilentError:
             pass  # no fault that can be named: the ingest tells the silence
+        except EndedError:
+            raise
         except (SourceError, OSError) as error:
             return error
         return None
@@ -145,6 +151,8 @@ class Link:
             return NtripSource(url, find_place, lambda text: self._say(LinkState.WAITING, text))
         if url.scheme == "serial":
             return SerialPort(url, lambda text: self._say(LinkState.WAITING, text))
+        if url.scheme == "stdin":
+            return Stdin()
         return {"tcp": TcpClient, "tcp-listen": TcpServer, "udp": UdpSocket}[url.scheme](url)
 
     def _write_loop(self) -> None:

@@ -1,7 +1,7 @@
 """Threads that play recordings and simulated receivers into the work loop, paced by a clock and by their consumers."""
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -74,20 +74,23 @@ class Replay:
             return
         self._put(LinkReport(LinkState.CONNECTED, str(self._recording.path)))
         try:
-            for frame, messages in self._recording.parts():
-                if not self._send_all(messages if frame is None else [frame, *messages], stopping):
+            for time, frame, messages in self._recording.timed_parts():
+                if time is not None:
+                    self._pace.wait(time, stopping)
+                if not self._send_all(messages if frame is None else [frame, *messages], stopping, paced=time is not None):
                     return
         except SourceError as error:
             self._put(LinkReport(LinkState.ERROR, str(error)))
         self._put(Ended())
 
-    def _send_all(self, items: Sequence[Frame | Message], stopping: threading.Event) -> bool:
-        """Send a frame and its messages when the consumers and the clock allow it; False when the process is to end."""
+    def _send_all(self, items: Sequence[Frame | Message], stopping: threading.Event, *, paced: bool) -> bool:
+        """Send a frame and its messages when the consumers and (unless ``paced``) the clock allow it; False when the process is to end."""
         for item in items:
             if isinstance(item, Epoch):
                 if not self._gate.wait(self._sequence, item.time, stopping):
                     return False
-                self._pace.wait(item.time, stopping)
+                if not paced:
+                    self._pace.wait(item.time, stopping)
             if not isinstance(item, Frame) and is_numbered(item):
                 self._sequence += 1
             while not self._put(Played(item, self._clock.mono_ns())):
@@ -99,7 +102,7 @@ class Replay:
 def recording_of(url: SourceUrl, date: str, observations: str) -> Recording:
     """Return the opened recording of a file URL; SourceError says what is wrong with it."""
     options = StreamOptions(approximate_time=date_of(date), observations=observations)
-    return open_recording(Path(url.path), date_of(date), options=options)
+    return open_recording(Path(url.path), date_of(date), options=options, timed=url.word("times") == "yes" and url.speed > 0.0)
 
 
 def date_of(text: str) -> GpsTime | None:
@@ -114,13 +117,8 @@ def date_of(text: str) -> GpsTime | None:
 
 
 def common_start(recordings: Iterable[Recording]) -> GpsTime | None:
-    """Return the latest of the recordings' first epochs: from there on they are played in step. None without epochs."""
-    firsts = [first for recording in recordings if (first := _first_epoch(recording.messages())) is not None]
-    return max(firsts, default=None)
-
-
-def _first_epoch(messages: Iterator[Message]) -> GpsTime | None:
-    return next((message.time for message in messages if isinstance(message, Epoch)), None)
+    """Return the latest of the recordings' beginnings: from there on they are played in step. None without any."""
+    return max((first for recording in recordings if (first := recording.begin()) is not None), default=None)
 
 
 class Simulation:

@@ -166,6 +166,7 @@ class IngestService(Service):
         try:
             recording = self._recording = recording_of(self._url, self._table.date, self._table.observations)
             start = common_start(self._all_recordings()) if self._url.speed else None
+            start = start + self._url.number("start", 0.0) if start is not None else None
         except SourceError as error:
             self._sink(LinkReport(LinkState.ERROR, str(error)))
             return
@@ -293,8 +294,8 @@ class IngestService(Service):
             return state, "" if state is State.RUNNING else self._replayed.detail
         active = self._live.active
         word, detail = self._live.state(active)
-        if word == LinkState.ERROR:
-            return State.DEGRADED, detail
+        if word in (LinkState.ERROR, LinkState.ENDED):
+            return State.DEGRADED if word == LinkState.ERROR else State.STOPPED, detail
         if age_s > STALE_S:
             return State.STALE, f"no data for {age_s:.0f} s ({word}{f': {detail}' if word == LinkState.WAITING else ''})"
         if complaint := self._live.complaint():

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rtkmesh.codecs.framing import FRAMED
 from rtkmesh.codecs.messages import Frame, Message
 from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReferenceStation
 from rtkmesh.gnss.epoch import SLIP, Epoch
@@ -47,7 +48,10 @@ class StreamPublisher:
         self._slipped = False
 
     def open(self) -> None:
-        """Publish what is known before the first byte: a configured antenna position."""
+        """Publish what is known before the first byte: a configured antenna position. Learn who listens to raw frames."""
+        if self._raw:
+            for protocol in FRAMED:
+                self._bus.matched(RAW, protocol=protocol.value)
         if self._known is not None:
             self._reference()
 

@@ -33,17 +33,23 @@ SCHEMES: Final[dict[str, dict[str, str]]] = {
         "ca": "a file with certificates to trust instead of the system's",
         "verify": "yes, or no: trust anybody who answers",
     },
-    "file": {"speed": "1 real time, 10 ten times as fast, max as fast as the consumers go (default 1)"},
+    "file": {
+        "speed": "1 real time, 10 ten times as fast, max as fast as the consumers go (default 1)",
+        "times": "yes: play the bytes as they came, by PATH.tag of RTKLIB or PATH.times of our recorder; no: by the epochs in them",
+        "start": "seconds from the beginning that are played at once, default 0",
+    },
+    "stdin": {},
     "sim": {"rate": "epochs per second, default 5", "seed": "default 1"},
 }
 USB_NAME: Final = re.compile(r"(?P<vid>[0-9A-Fa-f]{4}):(?P<pid>[0-9A-Fa-f]{4})(?::(?P<serial>.+))?")
 _PATHS: Final = ("file", "serial", "sim")
-_NUMBERS: Final = ("baud", "timeout", "rate", "seed", "gga_period", "max_distance")
+_NUMBERS: Final = ("baud", "timeout", "rate", "seed", "gga_period", "max_distance", "start")
 _WORDS: Final[dict[str, tuple[str, ...]]] = {
     "version": ("auto", "1", "2"),
     "gga": ("auto", "on", "off"),
     "verify": ("yes", "no"),
     "nearest": ("", "yes", "no"),
+    "times": ("no", "yes"),
 }
 
 
@@ -61,8 +67,8 @@ class SourceUrl:
     def __str__(self) -> str:
         if self.caster is not None:
             return str(self.caster)
-        if self.scheme == "serial":
-            return self.path
+        if self.scheme in ("serial", "stdin"):
+            return self.path or "standard input"
         return f"{self.scheme}://{self.path}" if self.path else f"{self.scheme}://{self.host}:{self.port}"
 
     def number(self, name: str, default: float) -> float:
@@ -139,11 +145,15 @@ def _located(text: str, scheme: str, rest: str) -> tuple[dict[str, Any], str]:
         return {**where, "host": caster.host, "port": caster.port, "caster": caster}, query
     if scheme in _PATHS:
         path, _, query = rest.partition("?")
+        if scheme == "file":
+            path, query = _rtklib_form(path, query)
         if not path:
             raise SourceError(f"{text!r}: needs a path")
         if scheme == "serial" and not (path.startswith(("/", "by-id/")) or USB_NAME.fullmatch(path)):
             raise SourceError(f"{text!r}: names no port: /dev/NAME, by-id/NAME, VID:PID or VID:PID:SERIAL")
-        return {**where, "path": unquote(path)}, query
+        return {**where, "path": path if scheme == "file" else unquote(path)}, query
+    if scheme == "stdin":
+        return where, rest.partition("?")[2]
     parts = urlsplit(text)
     try:
         port = parts.port or 0
@@ -152,6 +162,18 @@ def _located(text: str, scheme: str, rest: str) -> tuple[dict[str, Any], str]:
     if not port:
         raise SourceError(f"{shown_url(text)!r}: needs host:port with a port from 1 to 65535")
     return {**where, "host": parts.hostname or "", "port": port}, parts.query
+
+
+def _rtklib_form(path: str, query: str) -> tuple[str, str]:
+    """Return path and query of a file as RTKLIB writes it: ``PATH::T::+30::x10``."""
+    path, *marks = path.split("::")
+    options = [query] if query else []
+    for mark in marks:
+        name, value = {"T": ("times", "yes"), "+": ("start", mark[1:]), "x": ("speed", mark[1:])}.get(mark[:1], ("", ""))
+        if not name or (mark[:1] == "T" and mark != "T"):
+            raise SourceError(f"{path!r}: ::{mark} means nothing here; ::T, ::+SECONDS and ::xSPEED do")
+        options.append(f"{name}={value}")
+    return path, "&".join(options)
 
 
 def _check_mount(url: SourceUrl) -> None:

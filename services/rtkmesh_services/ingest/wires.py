@@ -1,5 +1,7 @@
 """Open connections to receivers, and what opens them: TCP, UDP. Serial ports and casters have files of their own."""
 
+import os
+import select
 import socket
 import threading
 import time
@@ -17,6 +19,10 @@ TIMEOUT_S: Final = 10.0
 
 class SilentError(SourceError):
     """A connection that brings nothing is made anew."""
+
+
+class EndedError(SourceError):
+    """A source has come to its end and does not come back."""
 
 
 class ReopenError(SourceError):
@@ -108,6 +114,42 @@ class UdpWire:
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+
+class StdinWire:
+    """Standard input; corrections go nowhere."""
+
+    detail = "standard input"
+
+    def read(self) -> bytes | None:
+        """Return new bytes, None when nothing came for a while; EndedError at the end."""
+        readable, _, _ = select.select([0], [], [], POLL_S)
+        data = os.read(0, READ_BYTES) if readable else None
+        if data == b"":
+            raise EndedError("standard input is at its end (`rtkmesh up` gives it to nobody: say `rtkmesh run ingest`)")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Refuse: there is nobody behind a pipe."""
+        del data
+        raise ConnectionError("standard input takes no data")
+
+    def close(self) -> None:
+        """It is the process's."""
+
+
+class Stdin:
+    """Opens standard input."""
+
+    backoff = LOCAL
+
+    def open(self, stopping: threading.Event) -> Wire | None:
+        """Return standard input."""
+        del stopping
+        return StdinWire()
+
+    def close(self) -> None:
+        """Nothing is kept."""
 
 
 class TcpClient:
