@@ -46,6 +46,19 @@ class HubTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     insecure: bool = False
 
 
+class CommandsTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[ingest.ID.commands]``: what the receiver of the first source is told: when it is there, when we leave, again and again.
+
+    Lines as in RTKLIB's command files: text, ``!UBX CFG-RATE 200 1 1``, ``!HEX B5 62 ...``, ``!WAIT 100``, ``!BRATE 460800``; periodic ones
+    end in ``# milliseconds``. ``file``: such a file, relative to the folder of configurations.
+    """
+
+    file: str = ""
+    start: tuple[str, ...] = ()
+    stop: tuple[str, ...] = ()
+    periodic: tuple[str, ...] = ()
+
+
 class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, ntrip:, ntrips:, file:, stdin:, sim:.
 
@@ -66,6 +79,7 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     observations: Literal["auto", "ubx", "rtcm3"] = "auto"
     navigation: bool = False
     raw: bool = True
+    commands: CommandsTable = CommandsTable()
 
     @property
     def replay(self) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 from cyclopts import Parameter
 
-from rtkmesh_schemas.config import Deployment
+from rtkmesh_schemas.config import CommandsTable, Deployment, IngestTable
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_services.cli.network import EXIT_OK, EXIT_USAGE, Json
 from rtkmesh_services.cli.page import command_page
@@ -75,6 +75,8 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
         examine(("ingest", id, "source"), partial(_look_at_source, source.source, simulations))
         for index, url in enumerate(source.fallback):
             examine(("ingest", id, "fallback"), partial(_look_at_fallback, source.source, url, index))
+        folder = file.parent / deployment.deployment.config_folder
+        examine(("ingest", id, "commands"), partial(_look_at_commands, source, folder))
         examine(("ingest", id, "date"), partial(_look_at_date, source.date))
     for id, solver in deployment.solver.items():  # noqa: A001
         antex, before = file.parent / deployment.deployment.config_folder / solver.antex if solver.antex else None, len(errors)
@@ -109,6 +111,13 @@ def _look_at_fallback(first: str, url: str, index: int) -> None:
     if any(scheme in ("file", "stdin") for scheme in (source.scheme, first.partition("://")[0])):
         raise SourceError(f"[{index}]: a recording neither has a fallback nor is one")
     _look_at_source(url, simulations=False)
+
+
+def _look_at_commands(table: IngestTable, folder: Path) -> None:
+    if table.commands != CommandsTable():
+        from rtkmesh_services.ingest.commands import commands_of
+
+        commands_of(table, folder)
 
 
 def _look_at_simulation(source: "SourceUrl") -> None:

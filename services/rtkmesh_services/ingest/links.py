@@ -9,19 +9,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from queue import Empty, Full, Queue
-from typing import Final
-
-import serial
 
 from rtkmesh_services.errors import SourceError
+from rtkmesh_services.ingest.commands import ReceiverCommands
 from rtkmesh_services.ingest.ntrip_source import FindPlace, NtripSource
 from rtkmesh_services.ingest.serial_ports import SerialPort
 from rtkmesh_services.ingest.urls import SourceUrl
 from rtkmesh_services.ingest.wires import POLL_S, EndedError, Opener, ReopenError, SilentError, Stdin, TcpClient, TcpServer, UdpSocket, Wire
+from rtkmesh_services.ingest.writer import FAREWELL_S, Writer
 from rtkmesh_services.runtime.backoff import Backoff, Pauses
-
-WRITE_QUEUE: Final = 256
 
 
 class LinkState(StrEnum):
@@ -60,17 +56,25 @@ class Link:
     """A source of live bytes: connects, reads, writes and comes back, in threads of its own."""
 
     def __init__(
-        self, url: SourceUrl, sink: Sink, *, source: int = 0, find_place: FindPlace | None = None, backoff: Backoff | None = None
+        self,
+        url: SourceUrl,
+        sink: Sink,
+        *,
+        source: int = 0,
+        find_place: FindPlace | None = None,
+        commands: ReceiverCommands | None = None,
+        backoff: Backoff | None = None,
     ) -> None:
         self._url, self._sink, self._source = url, sink, source
         self._opener = self._opener_of(url, find_place)
         self._pauses = Pauses(backoff or self._opener.backoff)
         self._stop = threading.Event()
-        self._wire: Wire | None = None
         self._heard_s = 0.0
-        self._writes: Queue[bytes] = Queue(WRITE_QUEUE)
+        self._farewell = bool(commands and commands.stop)
+        self._writer = Writer(commands or ReceiverCommands(), lambda text: self._say(LinkState.ERROR, text))
         self._threads = [
-            threading.Thread(target=target, daemon=True, name=f"link-{target.__name__}") for target in (self._read_loop, self._write_loop)
+            threading.Thread(target=self._read_loop, daemon=True, name="link-read"),
+            threading.Thread(target=self._writer.run, args=(self._stop,), daemon=True, name="link-write"),
         ]
 
     def start(self) -> None:
@@ -79,18 +83,14 @@ class Link:
             thread.start()
 
     def stop(self) -> None:
-        """End both threads; returns at once."""
+        """End both threads; returns at once, or within a second where the receiver is told something for farewell."""
         self._stop.set()
+        if self._farewell and self._threads[0].is_alive():
+            self._threads[0].join(FAREWELL_S + 2.0 * POLL_S)
 
     def write(self, data: bytes) -> bool:
         """Queue bytes for the receiver; False (and nothing queued) when the queue is full or nothing is connected."""
-        if self._wire is None:
-            return False
-        try:
-            self._writes.put_nowait(data)
-        except Full:
-            return False
-        return True
+        return self._writer.put(data)
 
     def _read_loop(self) -> None:
         while not self._stop.is_set():
@@ -126,7 +126,7 @@ class Link:
 
     def _serve(self, wire: Wire) -> None:
         """Read until the peer closes; ``_heard_s`` is for how long data came."""
-        self._wire = wire
+        self._writer.opened(wire)
         self._say(LinkState.WAITING, wire.detail)
         first_s = 0.0
         try:
@@ -143,7 +143,7 @@ class Link:
                 self._sink(Chunk(data, now_ns, self._source))
                 self._heard_s = max(1e-6, now_ns * 1e-9 - first_s)
         finally:
-            self._wire = None
+            self._writer.closing(wire, leaving=self._stop.is_set())
             wire.close()
 
     def _opener_of(self, url: SourceUrl, find_place: FindPlace | None) -> Opener:
@@ -154,20 +154,6 @@ class Link:
         if url.scheme == "stdin":
             return Stdin()
         return {"tcp": TcpClient, "tcp-listen": TcpServer, "udp": UdpSocket}[url.scheme](url)
-
-    def _write_loop(self) -> None:
-        while not self._stop.is_set():
-            try:
-                data = self._writes.get(timeout=POLL_S)
-            except Empty:
-                continue
-            wire = self._wire
-            if wire is None:
-                continue
-            try:
-                wire.write(data)
-            except (OSError, serial.SerialException) as error:
-                self._say(LinkState.ERROR, f"writing: {error}")
 
     def _say(self, state: LinkState, detail: str, retry_s: float = 0.0) -> None:
         self._sink(LinkReport(state, detail, self._source, retry_s))

@@ -9,6 +9,7 @@ from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Me
 from rtkmesh.codecs.stream import StreamDecoder
 from rtkmesh.gnss.ephemeris import GlonassBias, ReferenceStation
 from rtkmesh_schemas.status import InputStatus
+from rtkmesh_services.ingest.commands import ReceiverCommands
 from rtkmesh_services.ingest.failover import Failover
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState, Sink
 from rtkmesh_services.ingest.ntrip_source import FindPlace
@@ -68,7 +69,9 @@ class LiveSources:
         failover: Failover,
         find_place: FindPlace | None,
         clock: Clock,
+        commands: ReceiverCommands,
     ) -> None:
+        self._commands = commands
         self._new_decoder, self._sink, self._failover, self._find_place, self._clock = new_decoder, sink, failover, find_place, clock
         self._sources = [_Source(url, new_decoder()) for url in urls]
 
@@ -174,7 +177,8 @@ class LiveSources:
     def _link(self, number: int, url: SourceUrl) -> "Link | SimulatedLink":
         if url.scheme == "sim":
             return SimulatedLink(Simulation(url, self._clock, self._sink, source=number))
-        return Link(url, self._sink, source=number, find_place=self._find_place)
+        commands = self._commands if number == 0 else None
+        return Link(url, self._sink, source=number, find_place=self._find_place, commands=commands)
 
     def _status(self, source: _Source, now_ns: int) -> InputStatus:
         framing, decoding = source.decoder.framing, source.decoder.decoding

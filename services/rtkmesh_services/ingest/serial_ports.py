@@ -6,6 +6,7 @@ enough), ``1546:01a9`` or ``1546:01a9:SERIAL``.
 
 import errno
 import os
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -52,6 +53,14 @@ class SerialWire:
             self._port.write(data)
         except TypeError as error:  # pyserial's way of saying that the reader has closed the port meanwhile
             raise ConnectionError("the port was closed") from error
+
+    def set_baud(self, baud: int) -> None:
+        """Go on at another rate, after what was written has left."""
+        try:
+            self._port.flush()
+            self._port.baudrate = baud
+        except (serial.SerialException, OSError, ValueError, termios.error) as error:
+            raise ConnectionError(f"{self.detail}: cannot change to {baud} baud: {error}") from error
 
     def close(self) -> None:
         """Close the port."""

@@ -24,6 +24,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.errors import SourceError
+from rtkmesh_services.ingest.commands import commands_of
 from rtkmesh_services.ingest.credit import CreditGate
 from rtkmesh_services.ingest.failover import Failover
 from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
@@ -145,8 +146,9 @@ class IngestService(Service):
         urls = [self._url, *map(parse_source, table.fallback)]
         now_s = self.context.clock.mono_ns() * 1e-9
         failover = Failover(len(urls), table.fallback_after_s, table.return_after_s, now_s)
+        commands = commands_of(table, self.context.config_folder)
         find_place = self._rover_place if solvers_to_ask(self.context) else None
-        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock)
+        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands)
 
     def _rover_place(self) -> Place | None:
         """Return where the rover is, as its solver says (for the threads of casters)."""
