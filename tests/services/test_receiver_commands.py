@@ -90,7 +90,7 @@ def test_frames_are_those_that_others_send(text: str, frame: str):
     [
         ("CFG-RATE 200 1 1", UBXMessage("CFG", "CFG-RATE", SET, measRate=200, navRate=1, timeRef=1)),
         ("CFG-MSG 0x02 0x15 0 1 0 1", UBXMessage("CFG", "CFG-MSG", SET, msgClass=2, msgID=0x15, rateUART1=1, rateUSB=1)),
-        ("CFG-PRT 1 0 0 0x8c0 9600 1 1", UBXMessage("CFG", "CFG-PRT", SET, portID=1, charLen=3, parity=4, baudRate=9600, inUBX=1, outUBX=1)),
+        ("CFG-PRT 1 0 0 0x8c0 9600 1", UBXMessage("CFG", "CFG-PRT", SET, portID=1, charLen=3, parity=4, baudRate=9600, inUBX=1)),
         ("CFG-VALGET 0 0 0 RATE-MEAS", UBXMessage.config_poll(0, 0, ["CFG_RATE_MEAS"])),
         ("CFG-VALDEL 0 2 0 0 RATE-MEAS", UBXMessage.config_del(2, 0, ["CFG_RATE_MEAS"])),
         ("CFG-VALSET 0 4 0 0 NAVSPG-USE_PPP -1", None),

@@ -78,6 +78,9 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
         folder = file.parent / deployment.deployment.config_folder
         examine(("ingest", id, "commands"), partial(_look_at_commands, source, folder))
         examine(("ingest", id, "date"), partial(_look_at_date, source.date))
+        for key in ("position_ecef_m", "position_llh_deg"):
+            if getattr(source, key) is not None:
+                examine(("ingest", id, key), partial(_look_at_position, source.source))
     for id, solver in deployment.solver.items():  # noqa: A001
         antex, before = file.parent / deployment.deployment.config_folder / solver.antex if solver.antex else None, len(errors)
         examine(("solver", id, "antex"), partial(_look_at_antenna, "", antex))
@@ -111,6 +114,17 @@ def _look_at_fallback(first: str, url: str, index: int) -> None:
     if any(scheme in ("file", "stdin") for scheme in (source.scheme, first.partition("://")[0])):
         raise SourceError(f"[{index}]: a recording neither has a fallback nor is one")
     _look_at_source(url, simulations=False)
+
+
+def _look_at_position(url: str) -> None:
+    from rtkmesh_services.ingest.urls import parse_source, wants_nearest
+
+    try:
+        nearest = wants_nearest(parse_source(url))
+    except SourceError:
+        return  # told where the URL stands
+    if nearest:
+        raise SourceError("is of one antenna, and ?nearest chooses among many")
 
 
 def _look_at_commands(table: IngestTable, folder: Path) -> None:

@@ -156,4 +156,5 @@ class Link:
         return {"tcp": TcpClient, "tcp-listen": TcpServer, "udp": UdpSocket}[url.scheme](url)
 
     def _say(self, state: LinkState, detail: str, retry_s: float = 0.0) -> None:
-        self._sink(LinkReport(state, detail, self._source, retry_s))
+        if not self._stop.is_set():  # one that was stopped while it connected says nothing more
+            self._sink(LinkReport(state, detail, self._source, retry_s))

@@ -38,7 +38,7 @@ class NtripWire:
         self.detail = f"{connection.address} ({answer.protocol if answer else '?'})"
         self._opened_s = self._heard_s = time.monotonic()
         self._told: Place | None = None
-        self._told_s = 0.0
+        self._told_s = self._looked_s = 0.0
 
     def read(self) -> bytes | None:
         """Return new bytes, b"" when the caster has closed, None when nothing came."""
@@ -62,14 +62,14 @@ class NtripWire:
         self._connection.close()
 
     def _tell_place(self, now_s: float) -> None:
-        """Tell the caster where the rover is, when it wants to know and it is time."""
-        if now_s - self._told_s < POLL_S or not (self._gga or self._source.nearest):
-            return
-        place = self._source.find_place()
+        """Tell the caster where the rover is, when it wants to know and it is time; see whether another mount point is nearer now."""
+        place = self._source.find_place() if self._gga or self._source.nearest else None
         if place is None:
             return
-        self._source.stay_or_move(self._connection.address.mount, place)
-        due = now_s - self._told_s >= self._source.gga_period_s or _moved(self._told, place)
+        if now_s - self._looked_s >= self._source.gga_period_s:
+            self._looked_s = now_s
+            self._source.stay_or_move(self._connection.address.mount, place)
+        due = now_s - self._told_s >= self._source.gga_period_s or (now_s - self._told_s >= 1.0 and _moved(self._told, place))
         if self._gga and due:
             self._connection.write(gga_sentence(place, time.time()).encode())
             self._told, self._told_s = place, now_s
