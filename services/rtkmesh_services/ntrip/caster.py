@@ -24,6 +24,7 @@ STALLED_S: Final = 60.0
 LINGER_S: Final = 2.0
 POLL_S: Final = 0.25
 SEND_BUFFER: Final = 65536
+AT_ONCE: Final = 16384  # bytes of whole frames that are handed to a socket together
 MAXIMUM_PENDING: Final = 4096  # frames between the publisher's thread and ours
 MAXIMUM_CONNECTIONS: Final = 32  # beyond the clients: those that still ask or are being answered
 
@@ -224,10 +225,12 @@ class Caster:
         now_s = monotonic()
         for mount, frame in frames:
             self._pictures[mount].add(frame, now_s)
-            for client in tuple(self._clients.values()):
-                if client.serving and client.request is not None and client.request.mount == mount:
-                    client.queue.put(frame, now_s)
-                    self._on_client(client, selectors.EVENT_WRITE)
+        for client in tuple(self._clients.values()) if frames else ():
+            mine = [frame for mount, frame in frames if client.serving and client.request is not None and client.request.mount == mount]
+            for frame in mine:
+                client.queue.put(frame, now_s)
+            if mine and not client.sending:
+                self._on_client(client, selectors.EVENT_WRITE)
 
     def _write(self, client: _Client) -> None:
         """Send as much as the client takes now."""
@@ -245,10 +248,9 @@ class Caster:
                 client.socket.shutdown(socket.SHUT_WR)  # the client closes, or its time is over
 
     def _next(self, client: _Client) -> bool:
-        frame = client.queue.get()
-        if frame is not None:
-            client.sending = memoryview(client.wrapped(frame))
-        return frame is not None
+        frames = client.queue.get_some(AT_ONCE)
+        client.sending = memoryview(b"".join(map(client.wrapped, frames)))
+        return bool(frames)
 
     def _expire(self, now_s: float) -> None:
         for client in tuple(self._clients.values()):

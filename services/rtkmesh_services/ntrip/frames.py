@@ -34,6 +34,15 @@ class FrameQueue:
         self.bytes -= len(frame)
         return frame
 
+    def get_some(self, maximum_bytes: int) -> list[bytes]:
+        """Return the oldest frames, at least one if there is any, together about so many bytes."""
+        frames: list[bytes] = []
+        size = 0
+        while size < maximum_bytes and (frame := self.get()) is not None:
+            frames.append(frame)
+            size += len(frame)
+        return frames
+
     def _drop(self) -> None:
         _, frame = self._frames.popleft()
         self.bytes -= len(frame)
