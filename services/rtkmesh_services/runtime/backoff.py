@@ -11,14 +11,16 @@ from rtkmesh_services.errors import RefusedError, SourceError
 class Backoff:
     """Pauses from ``first_s``, doubled up to ``last_s``. Each is longer by a random share up to ``jitter``.
 
-    A connection that brought data for ``good_s`` counts as a success: the next pause is the first one again. After a lasting
-    refusal (wrong password, no such mount point) pauses go from ``refused_first_s`` to ``refused_last_s``.
+    A connection that brought data for ``good_s`` counts as a success: the next pause is the first one again; after one that brought
+    data for less it is ``brief_last_s`` at most. After a lasting refusal (wrong password, no such mount point) pauses go from
+    ``refused_first_s`` to ``refused_last_s``.
     """
 
     first_s: float
     last_s: float
     jitter: float = 0.0
     good_s: float = 0.0
+    brief_last_s: float = 10.0
     refused_first_s: float = 60.0
     refused_last_s: float = 900.0
 
@@ -41,6 +43,7 @@ class Pauses:
         if isinstance(error, RefusedError) and error.lasting:
             pause_s, self._refused_s = self._refused_s, min(self._backoff.refused_last_s, 2.0 * self._refused_s)
         else:
-            pause_s, self._next_s = self._next_s, min(self._backoff.last_s, 2.0 * self._next_s)
+            pause_s = min(self._next_s, self._backoff.brief_last_s) if heard_s > 0.0 else self._next_s
+            self._next_s = min(self._backoff.last_s, 2.0 * self._next_s)
         wanted_s = error.wait_s if isinstance(error, RefusedError) else 0.0
         return max(pause_s, wanted_s) * (1.0 + self._backoff.jitter * self._random.random())
