@@ -79,16 +79,85 @@ def test_a_rover_fixes_by_the_nearest_mount_point_of_our_caster(up: Callable[...
         assert "c4nary" not in place
 
 
+TWO_WAYS = """
+[ingest.rover]
+source = "sim://static/rover"
+[ingest.roof]
+source = "sim://static/base"
+[output.one]
+target = "ntrip-caster://127.0.0.1:{first}"
+mounts = {{ ROOF = "roof" }}
+[output.two]
+target = "ntrip-caster://127.0.0.1:{second}"
+mounts = {{ ROOF = "roof" }}
+[ingest.base]
+source = "ntrip://127.0.0.1:{first}/ROOF"
+fallback = ["ntrip://127.0.0.1:{second}/ROOF"]
+fallback_after_s = 1.5
+return_after_s = 3.0
+[solver.rtk]
+rover = "rover"
+base = "base"
+navigation = ["rover"]
+mode = "static"
+"""
+
+
+@pytest.mark.slow
+def test_a_caster_that_dies_is_replaced_by_the_next_one_and_taken_again(up: Callable[..., Deployment], free: int, other: int) -> None:
+    """No fix is wrong meanwhile; the status says which source is used and why."""
+    deployment = up(TWO_WAYS.format(first=free, second=other))
+    deployment.until(deployment.all_running, 280.0)
+    fixed: list[SolutionMessage] = []
+    statuses: dict[str, ServiceStatus] = {}
+
+    def take_solution(sample: object) -> None:
+        message = decode(SolutionMessage, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
+        if message.status == FIX:
+            fixed.append(message)
+
+    def take_status(sample: object) -> None:
+        statuses["base"] = decode(ServiceStatus, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
+
+    def fixes(count: int) -> None:
+        before = len(fixed)
+        deployment.until(lambda: len(fixed) >= before + count, 60.0)
+
+    deployment.bus.subscribe(SOL.key("rtk"), take_solution)
+    deployment.bus.subscribe(STATUS.key("base"), take_status, history=True)
+    fixes(10)
+    assert deployment.ask("control", "stop", id="one").ok
+    deployment.until(lambda: statuses["base"].data.get("source") == 1, 30.0)
+    fixes(10)
+    assert statuses["base"].reason.startswith(f"using fallback 1, ntrip://127.0.0.1:{other}/ROOF")
+    assert "the first choice: " in statuses["base"].reason
+    assert deployment.ask("control", "start", id="one").ok
+    deployment.until(lambda: statuses["base"].data.get("source") == 0, 60.0)
+    fixes(10)
+    first = fixed[9].position_ecef_m
+    assert max(abs(a - b) for one in fixed for a, b in zip(one.position_ecef_m, first, strict=True)) < 0.1
+
+
 def run(*arguments: str) -> str:
     command = [sys.executable, "-m", "rtkmesh_services.cli.main", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20, env=os.environ.copy()).stdout
 
 
-@pytest.fixture
-def free(port: int) -> int:
-    """A second free port."""
+def free_besides(*taken: int) -> int:
     while True:
         with socket.create_server(("127.0.0.1", 0)) as probe:
             found: int = probe.getsockname()[1]
-            if found != port:
+            if found not in taken:
                 return found
+
+
+@pytest.fixture
+def free(port: int) -> int:
+    """A second free port."""
+    return free_besides(port)
+
+
+@pytest.fixture
+def other(port: int, free: int) -> int:
+    """A third one."""
+    return free_besides(port, free)
