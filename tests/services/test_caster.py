@@ -3,10 +3,13 @@
 import base64
 import queue
 import socket
+import struct
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from random import Random
 
 import pytest
 from tests.services.scripted_caster import ScriptedCaster
@@ -201,6 +204,22 @@ def test_half_open_connections_keep_nobody_out(caster: Caster):
         assert client.recv(100) == b"ICY 200 OK\r\n\r\n"
     for connection in idle:
         connection.close()
+
+
+def test_noise_from_hundreds_of_strangers_disturbs_nobody(caster: Caster):
+    """Random bytes, half requests, resets: the thread lives, nothing is left, and a client is served."""
+    random = Random(7)
+    for number in range(300):
+        with socket.create_connection(("127.0.0.1", caster.port), timeout=WAIT_S) as stranger:
+            beginning = random.choice([b"", b"GET /BASE HTTP/1.1\r\nAuthorization: Basic ", b"POST / HTTP/1.1\r\n", b"\r\n"])
+            with suppress(OSError):
+                stranger.sendall(beginning + random.randbytes(random.randrange(600)) + random.choice([b"", b"\r\n\r\n"]))
+            if number % 3 == 0:
+                stranger.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        caster.publish("BASE", FRAMES[number % 100])
+    with ask(caster.port, f"GET /BASE HTTP/1.0\r\n{AUTHORIZED}\r\n") as client:
+        assert client.recv(100).startswith(b"ICY 200 OK\r\n")
+        until(lambda: len(caster._clients) == 1)
 
 
 @pytest.mark.rtklib

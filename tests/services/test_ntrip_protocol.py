@@ -11,14 +11,17 @@ from tests.services.scripted_caster import chunked
 
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ntrip.address import CasterAddress, parse_caster, shown_url
+from rtkmesh_services.ntrip.connection import refused
 from rtkmesh_services.ntrip.gga import Place, gga_sentence
 from rtkmesh_services.ntrip.protocol import (
     MAXIMUM_CHUNK_LINE,
     MAXIMUM_HEADER,
+    Answer,
     AnswerReader,
     push_request,
     stream_request,
 )
+from rtkmesh_services.ntrip.request import is_allowed, parse_request
 from rtkmesh_services.ntrip.source_table import MountPoint, nearest_mount, nearest_names, parse_table, table_row
 
 DATA = bytes(range(200, 256)) * 3 + b"\r\nplain: text\r\n" + bytes(50)
@@ -149,6 +152,27 @@ def test_wrong_addresses_are_named_without_the_password(text: str):
     with pytest.raises(SourceError) as raised:
         parse_caster(text)
     assert "secret" not in str(raised.value)
+
+
+@given(st.sampled_from([b"GET / HTTP/1.0\r\n", b"GET /M HTTP/1.1\r\nAuthorization: Basic ", b""]), st.binary(max_size=300))
+def test_any_request_is_read_without_raising(beginning: bytes, rest: bytes):
+    for data in (beginning + rest, beginning + rest + b"\r\n\r\n"):
+        request = parse_request(data)
+        assert request is None or isinstance(is_allowed(request, {"u": "p"}), bool)
+
+
+@given(st.text(max_size=60), st.sampled_from([200, 302, 401, 404, 429, 503, 999]))
+def test_any_refusal_is_said(text: str, status: int):
+    dates = (
+        text,
+        f"Mon, 01 Jan {text} 00:00:00 GMT",
+        "Fri, 31 Dec 9999 23:59:59 -2359",
+        "Mon, 01 Jan 0001 00:00:00 +2359",
+        "99999999999999",
+    )
+    for date in dates:
+        error = refused(ADDRESS, Answer("HTTP/1.1", status, text, {"retry-after": date, "location": text}))
+        assert 0.0 <= error.wait_s <= 3600.0
 
 
 TABLE = (

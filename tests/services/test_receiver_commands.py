@@ -31,7 +31,7 @@ from rtkmesh_services.ingest.commands import (
     parse_line,
     parse_periodic,
 )
-from rtkmesh_services.ingest.links import Chunk, Link, LinkReport
+from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
 from rtkmesh_services.ingest.ubx_commands import _MESSAGES, ubx_frame
 from rtkmesh_services.ingest.urls import parse_source
 
@@ -215,9 +215,25 @@ def test_a_receiver_is_told_at_the_start_and_at_the_end(terminal: Terminal):
     assert port.write(b"correction")
     terminal.until(b"correction")
     begun_s = time.monotonic()
-    port.stop()
+    port.stop(1.5)
+    assert time.monotonic() - begun_s < 1.0
     terminal.until(b"last\r\n")
-    assert time.monotonic() - begun_s < 1.5
+
+
+def test_a_restart_says_farewell_and_hello_and_never_finds_the_port_in_use(terminal: Terminal):
+    commands = parse_commands(["hello"], ["bye"], [])
+    items: queue.Queue[Chunk | LinkReport] = queue.Queue()
+    links = [Link(parse_source(f"serial://{terminal.path}"), items.put, commands=commands) for _ in range(3)]
+    for number, port in enumerate(links):
+        port.start(links[number - 1] if number else None)
+        terminal.until(b"hello\r\n")
+        begun_s = time.monotonic()
+        port.stop()
+        assert time.monotonic() - begun_s < 0.05
+        if number == len(links) - 1:
+            terminal.until(b"bye\r\n")
+    reports = [item for item in [items.get() for _ in range(items.qsize())] if isinstance(item, LinkReport)]
+    assert [report.detail for report in reports if report.state is LinkState.ERROR] == []
 
 
 def test_periodic_commands_keep_their_periods_and_let_corrections_through(terminal: Terminal):

@@ -170,7 +170,7 @@ def test_the_wrong_baud_rate_is_named_as_the_reason(world: World) -> None:
         raise AssertionError(f"never {state}")
 
     reason = until(State.DEGRADED).reason
-    assert "bytes without a whole frame: looks like the wrong baud rate; baud=auto finds it" in reason
+    assert "kB without a whole frame: looks like the wrong baud rate; baud=auto finds it" in reason
     assert "at 115200 baud" in reason
     receiver.set_baud(115200)
     until(State.RUNNING)

@@ -9,15 +9,18 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.commands import ReceiverCommands
 from rtkmesh_services.ingest.ntrip_source import FindPlace, NtripSource
 from rtkmesh_services.ingest.serial_ports import SerialPort
 from rtkmesh_services.ingest.urls import SourceUrl
-from rtkmesh_services.ingest.wires import POLL_S, EndedError, Opener, ReopenError, SilentError, Stdin, TcpClient, TcpServer, UdpSocket, Wire
-from rtkmesh_services.ingest.writer import FAREWELL_S, Writer
+from rtkmesh_services.ingest.wires import EndedError, Opener, ReopenError, SilentError, Stdin, TcpClient, TcpServer, UdpSocket, Wire
+from rtkmesh_services.ingest.writer import Writer
 from rtkmesh_services.runtime.backoff import Backoff, Pauses
+
+LET_GO_S: Final = 1.5
 
 
 class LinkState(StrEnum):
@@ -69,6 +72,7 @@ class Link:
         self._opener = self._opener_of(url, find_place)
         self._pauses = Pauses(backoff or self._opener.backoff)
         self._stop = threading.Event()
+        self._after: Link | None = None
         self._heard_s = 0.0
         self._farewell = bool(commands and commands.stop)
         self._writer = Writer(commands or ReceiverCommands(), lambda text: self._say(LinkState.ERROR, text))
@@ -77,22 +81,26 @@ class Link:
             threading.Thread(target=self._writer.run, args=(self._stop,), daemon=True, name="link-write"),
         ]
 
-    def start(self) -> None:
-        """Begin to connect."""
+    def start(self, after: "Link | None" = None) -> None:
+        """Begin to connect, ``after`` another link to the same receiver has let go of it."""
+        self._after = after
         for thread in self._threads:
             thread.start()
 
-    def stop(self) -> None:
-        """End both threads; returns at once, or within a second where the receiver is told something for farewell."""
+    def stop(self, wait_s: float = 0.0) -> None:
+        """End both threads; returns at once, or when the receiver was told its stop commands, but within ``wait_s``."""
         self._stop.set()
-        if self._farewell and self._threads[0].is_alive():
-            self._threads[0].join(FAREWELL_S + 2.0 * POLL_S)
+        if self._farewell and wait_s > 0.0 and self._threads[0].is_alive():
+            self._threads[0].join(wait_s)
 
     def write(self, data: bytes) -> bool:
         """Queue bytes for the receiver; False (and nothing queued) when the queue is full or nothing is connected."""
         return self._writer.put(data)
 
     def _read_loop(self) -> None:
+        if self._after is not None and self._after._threads[0].is_alive():  # noqa: SLF001  one of us
+            self._after._threads[0].join(LET_GO_S)  # noqa: SLF001
+        self._after = None
         while not self._stop.is_set():
             try:
                 error = self._attempt()

@@ -28,12 +28,14 @@ class SimulatedLink:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation, self._stop = simulation, threading.Event()
 
-    def start(self) -> None:
+    def start(self, after: "Link | None" = None) -> None:
         """Begin to send."""
+        del after
         threading.Thread(target=self._simulation.run, args=(self._stop,), daemon=True, name="source").start()
 
-    def stop(self) -> None:
+    def stop(self, wait_s: float = 0.0) -> None:
         """End its thread; returns at once."""
+        del wait_s
         self._stop.set()
 
     def write(self, data: bytes) -> bool:
@@ -47,6 +49,7 @@ class _Source:
     url: SourceUrl
     decoder: StreamDecoder
     link: Link | SimulatedLink | None = None
+    last: Link | None = None
     state: str = NOT_OPEN
     detail: str = ""
     origin: str = ""
@@ -96,14 +99,15 @@ class LiveSources:
         for number, source in enumerate(self._sources):
             if number < self._failover.running and source.link is None:
                 source.link = self._link(number, source.url)
-                source.link.start()
+                source.link.start(source.last)
+                source.last = None
             elif number >= self._failover.running and source.link is not None:
                 self._close(source)
 
-    def stop(self) -> None:
-        """Close all."""
+    def stop(self, wait_s: float = 0.0) -> None:
+        """Close all; waits at most so long for stop commands."""
         for source in self._sources:
-            self._close(source)
+            self._close(source, wait_s)
 
     def write(self, data: bytes) -> bool:
         """Send bytes to the receiver of the source that is used; False when they cannot be sent."""
@@ -163,7 +167,7 @@ class LiveSources:
         source = self._sources[self.active]
         if source.unframed < (NO_FRAME_BYTES if source.decoder.framing.frames else FIRST_FRAME_BYTES):
             return ""
-        text = f"{source.detail}: {source.unframed} bytes without a whole frame"
+        text = f"{source.detail}: {source.unframed // FIRST_FRAME_BYTES * FIRST_FRAME_BYTES >> 10} kB without a whole frame"
         if source.url.scheme != "serial":
             return f"{text}: no UBX, RTCM 3 or NMEA comes from there"
         hint = "" if source.url.options.get("baud") == "auto" else "; baud=auto finds it"
@@ -193,9 +197,10 @@ class LiveSources:
             counters=counters_of(framing, decoding),
         )
 
-    def _close(self, source: _Source) -> None:
+    def _close(self, source: _Source, wait_s: float = 0.0) -> None:
         if source.link is not None:
-            source.link.stop()
+            source.link.stop(wait_s)
+            source.last = source.link if isinstance(source.link, Link) else None
         source.link, source.state, source.detail = None, NOT_OPEN, ""
 
 

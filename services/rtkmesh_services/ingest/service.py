@@ -40,6 +40,7 @@ from rtkmesh_services.runtime.service import Context, Report, Service, accepted,
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 
 DEAD_CONSUMER_S = 10.0  # how long a replay as fast as it goes waits for a consumer that died
+FAREWELL_S = 0.9  # for what a receiver is told at the end
 STALE_S = 5.0  # a live source that is silent for so long is STALE
 
 
@@ -135,7 +136,7 @@ class IngestService(Service):
         """Stop the source."""
         self._stop_source.set()
         if self._live is not None:
-            self._live.stop()
+            self._live.stop(FAREWELL_S)
 
     def _new_decoder(self) -> StreamDecoder:
         near = date_of(self._table.date) or gps_now(self.context.clock)

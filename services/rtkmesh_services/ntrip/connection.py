@@ -210,7 +210,7 @@ def _retry_after_s(text: str) -> float:
         return min(float(text), MAXIMUM_WAIT_S)
     try:
         return min(max(0.0, parsedate_to_datetime(text).timestamp() - time()), MAXIMUM_WAIT_S) if text else 0.0
-    except ValueError:
+    except (ValueError, TypeError, OverflowError, OSError):  # what dates far from ours raise
         return 0.0
 
 

@@ -3,7 +3,6 @@
 import hmac
 import re
 from base64 import b64decode
-from binascii import Error as Base64Error
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from email.utils import formatdate
@@ -51,7 +50,7 @@ def _credentials(text: str) -> tuple[str, str]:
         return "", ""
     try:
         user, _, password = b64decode(code.strip(), validate=True).decode().partition(":")
-    except (Base64Error, UnicodeDecodeError):
+    except ValueError:  # no base64, no UTF-8
         return "", ""
     return user, password
 

@@ -18,6 +18,7 @@ from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.service import Context, Report, Service
 
 RETRY_NS: Final = 1_000_000_000
+SHOWN_CLIENTS: Final = 32  # a status is a small message
 _FLATTENING: Final = 0.00669438  # first eccentricity squared of WGS 84: the table says hundredths of a degree
 
 
@@ -189,7 +190,7 @@ class CasterSink:
                 bytes=client.bytes,
                 dropped=client.dropped,
             )
-            for client in clients
+            for client in clients[:SHOWN_CLIENTS]
         ]
         return [caster, *rows]
 
