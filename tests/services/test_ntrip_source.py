@@ -318,7 +318,9 @@ def test_tls_is_verified_unless_told_otherwise(world: World, tmp_path: Path):
     assert report.retry_s >= QUICK.refused_first_s
     assert caster.requests == [], "nobody got the password"
     world.link(f"{url}?ca={cert}").until_data(ALL)
-    world.link(f"{url}?verify=no").until_data(ALL)
+    careless = world.link(f"{url}?verify=no")
+    careless.until_data(ALL)
+    assert "certificate not verified" in careless.reports[-1].detail
 
 
 def test_a_plain_caster_at_a_tls_address_is_said(world: World):

@@ -35,7 +35,8 @@ class NtripWire:
     def __init__(self, connection: CasterConnection, source: "NtripSource", gga: bool) -> None:
         self._connection, self._source, self._gga = connection, source, gga
         answer = connection.answer
-        self.detail = f"{connection.address} ({answer.protocol if answer else '?'})"
+        trusted = ", certificate not verified" if source.trusts_anybody else ""
+        self.detail = f"{connection.address} ({answer.protocol if answer else '?'}{trusted})"
         self._opened_s = self._heard_s = time.monotonic()
         self._told: Place | None = None
         self._told_s = self._looked_s = 0.0
@@ -94,6 +95,7 @@ class NtripSource:
         self._find_place: FindPlace | None = (lambda: fixed) if fixed is not None else find_place
         self._say = say
         self._tls = TlsOptions(authority=url.options.get("ca", ""), verify=url.word("verify") == "yes")
+        self.trusts_anybody = self._address.tls and not self._tls.verify
         self._gga, self._version_word = url.word("gga"), url.word("version")
         self._version = 1 if self._version_word == "1" else 2
         self._table: list[MountPoint] | None = None
@@ -152,8 +154,8 @@ class NtripSource:
             with self.guarded():
                 connection = open_stream(address, version=self._version, gga=gga, tls=self._tls)
         except RefusedError as error:
-            if error.lasting:
-                self._table = None  # it may have changed
+            if error.lasting and self.nearest:
+                self._table = None  # the chosen mount point may be gone
             raise
         return NtripWire(connection, self, gga=place is not None)
 
