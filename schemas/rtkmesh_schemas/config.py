@@ -46,20 +46,40 @@ class HubTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     insecure: bool = False
 
 
+class CommandsTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[ingest.ID.commands]``: what the receiver of the first source is told: when it is there, when we leave, again and again.
+
+    Lines as in RTKLIB's command files: text, ``!UBX CFG-RATE 200 1 1``, ``!HEX B5 62 ...``, ``!WAIT 100``, ``!BRATE 460800``; periodic ones
+    end in ``# milliseconds``. ``file``: such a file, relative to the folder of configurations.
+    """
+
+    file: str = ""
+    start: tuple[str, ...] = ()
+    stop: tuple[str, ...] = ()
+    periodic: tuple[str, ...] = ()
+
+
 class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, file:, sim:.
+    """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, ntrip:, ntrips:, file:, stdin:, sim:.
+
+    ``fallback`` are sources that are used, in their order, while those before them have given nothing for ``fallback_after_s``; one
+    that is better placed is taken again when it has been back for ``return_after_s``.
 
     ``position_ecef_m`` or ``position_llh_deg`` (lat, lon, ellipsoidal height) is the antenna's known position and replaces what the
     stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``navigation`` marks a source of ephemerides only.
     """
 
     source: str
+    fallback: Annotated[tuple[str, ...], Meta(max_length=8)] = ()
+    fallback_after_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 15.0
+    return_after_s: Annotated[float, Meta(ge=1.0, le=86400.0)] = 120.0
     position_ecef_m: EcefVector | None = None
     position_llh_deg: GeodeticVector | None = None
     date: str = ""
     observations: Literal["auto", "ubx", "rtcm3"] = "auto"
     navigation: bool = False
     raw: bool = True
+    commands: CommandsTable = CommandsTable()
 
     @property
     def replay(self) -> bool:
@@ -148,19 +168,37 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class OutputTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[output.ID]``: one output stream of a solver: ``target`` is a URL (file:, tcp-listen:, tcp:, udp:)."""
+    """``[output.ID]``: one output stream. ``target`` is a URL: file:, tcp-listen:, tcp:, udp:; for receivers also ntrip:, ntrips: (feed a
+    caster's mount point) and ntrip-caster: (be one).
 
-    solver: str
+    Either ``solver``: its solutions, in a ``format``; or ``receiver``: its whole frames as they came, of one ``protocol`` and, where
+    ``messages`` names RTCM 3 message numbers, only those. A caster has ``mounts`` (mount point = receiver) and ``users`` (name =
+    password); ``anonymous`` lets everybody read who can reach it.
+    """
+
     target: str
+    solver: str = ""
     format: Literal["llh", "xyz", "enu", "json"] = "llh"
     time_form: Literal["calendar", "tow"] = "calendar"
+    receiver: str = ""
+    mounts: dict[str, str] = {}
+    protocol: Literal["rtcm3", "ubx", "nmea", "all"] = "rtcm3"
+    messages: tuple[Annotated[int, Meta(ge=1, le=4095)], ...] = ()
+    users: dict[str, str] = {}
+    anonymous: bool = False
+    maximum_clients: Annotated[int, Meta(ge=1, le=1000)] = 64
 
 
 class RecorderTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[recorder.ID]``: raw logs of receivers with receive times, append-only, one new file per start."""
+    """``[recorder.ID]``: raw logs of receivers with receive times, append-only, one new file per start, and every ``swap_hours``.
+
+    ``folder`` may have RTKLIB's keywords (%Y%m%d/%h ...). ``tags``: RTKLIB's .tag beside each log as well.
+    """
 
     folder: str
     receivers: tuple[str, ...] = ()
+    swap_hours: NotNegative = 0.0
+    tags: bool = False
 
 
 class Ros2Table(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -2,6 +2,7 @@
 
 ServiceError
 ├── SourceError         a recording or a receiver's source is missing, empty or of no known kind
+│   └── RefusedError        a caster refuses us, and will for some time
 ├── BusError            the network refused something: an address in use, a wrong key
 │   ├── UnreachableError    no hub answers
 │   └── NamesakeError       another process has this id
@@ -18,6 +19,14 @@ class ServiceError(Exception):
 
 class SourceError(ServiceError):
     """A recording or a receiver's source is missing, empty or of no known kind."""
+
+
+class RefusedError(SourceError):
+    """A caster refuses us: ``wait_s`` is how long it wants to be left alone; ``lasting``: as long as nobody changes something."""
+
+    def __init__(self, message: str, wait_s: float = 0.0, *, lasting: bool = False) -> None:
+        super().__init__(message)
+        self.wait_s, self.lasting = wait_s, lasting
 
 
 class BusError(ServiceError):

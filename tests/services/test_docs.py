@@ -80,9 +80,12 @@ def test_commands_in_the_text_exist():
 def test_deployment_files_pass_the_check(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """Every deployment that is shown is right, in the surroundings that its page takes for granted."""
     monkeypatch.chdir(tmp_path)
+    for name in re.findall(r"\$\{(\w+)\}", text):
+        monkeypatch.setenv(name, "x")
     for path in re.findall(r'source = "file://([^"?]+)', text):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         Path(path).touch()
+        Path(f"{path}.tag").touch()
     missing = {name: body for name, body in SURROUNDINGS.items() if f"[{name}]" not in text}
     file = tmp_path / "shown.toml"
     file.write_text(text + "".join(f"\n[{name}]\n{body}\n" for name, body in missing.items()))

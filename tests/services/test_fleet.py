@@ -1,5 +1,6 @@
 """From a deployment file to the table of its processes."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -96,7 +97,9 @@ def test_added_removed_and_a_process_that_changed_its_role() -> None:
 
 
 @pytest.mark.parametrize("file", sorted(CONFIG.glob("*.toml")), ids=lambda path: path.name)
-def test_shipped_deployments_are_right(file: Path, tmp_path: Path) -> None:
+def test_shipped_deployments_are_right(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in re.findall(r"\$\{(\w+)\}", file.read_text()):
+        monkeypatch.setenv(name, "secret")
     site = load_site(file, tmp_path)
     found = specs_of(site.deployment, LaunchOptions(file))
     assert len(found) >= 3

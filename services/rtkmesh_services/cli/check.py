@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 from cyclopts import Parameter
 
-from rtkmesh_schemas.config import Deployment
+from rtkmesh_schemas.config import CommandsTable, Deployment, IngestTable
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_services.cli.network import EXIT_OK, EXIT_USAGE, Json
 from rtkmesh_services.cli.page import command_page
@@ -58,7 +58,7 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
 
     ``simulations``: also what the simulator does not have, which costs a second for loading it.
     """
-    from rtkmesh_services.output.targets import parse_target
+    from rtkmesh_services.output.targets import check_output
     from rtkmesh_services.runtime.logs import clean
     from rtkmesh_services.runtime.toml_lines import lines_of
 
@@ -73,7 +73,14 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
 
     for id, source in deployment.ingest.items():  # noqa: A001  the word of the design
         examine(("ingest", id, "source"), partial(_look_at_source, source.source, simulations))
+        for index, url in enumerate(source.fallback):
+            examine(("ingest", id, "fallback"), partial(_look_at_fallback, source.source, url, index))
+        folder = file.parent / deployment.deployment.config_folder
+        examine(("ingest", id, "commands"), partial(_look_at_commands, source, folder))
         examine(("ingest", id, "date"), partial(_look_at_date, source.date))
+        for key in ("position_ecef_m", "position_llh_deg"):
+            if getattr(source, key) is not None:
+                examine(("ingest", id, key), partial(_look_at_position, source.source))
     for id, solver in deployment.solver.items():  # noqa: A001
         antex, before = file.parent / deployment.deployment.config_folder / solver.antex if solver.antex else None, len(errors)
         examine(("solver", id, "antex"), partial(_look_at_antenna, "", antex))
@@ -81,7 +88,7 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
             if len(errors) == before:  # names may be of that file
                 examine(("solver", id, key), partial(_look_at_antenna, name, antex))
     for id, output in deployment.output.items():  # noqa: A001
-        examine(("output", id, "target"), partial(parse_target, output.target))
+        examine(("output", id, "target"), partial(check_output, output))
     return sorted(errors, key=lambda error: error.line or 0)
 
 
@@ -92,8 +99,39 @@ def _look_at_source(url: str, simulations: bool) -> None:
     _ = source.speed
     if source.scheme == "file" and not Path(source.path).is_file():
         raise SourceError(f"{source.path!r}: no such file")
+    if source.word("times") == "yes" and not any(Path(source.path + ending).is_file() for ending in (".tag", ".times")):
+        raise SourceError(f"{source.path!r}: times=yes, but there is neither a .tag nor a .times beside it")
     if source.scheme == "sim" and simulations:
         _look_at_simulation(source)
+    if (authority := source.options.get("ca")) and not Path(authority).is_file():
+        raise SourceError(f"ca={authority!r}: no such file")
+
+
+def _look_at_fallback(first: str, url: str, index: int) -> None:
+    from rtkmesh_services.ingest.urls import parse_source
+
+    source = parse_source(url)
+    if any(scheme in ("file", "stdin") for scheme in (source.scheme, first.partition("://")[0])):
+        raise SourceError(f"[{index}]: a recording neither has a fallback nor is one")
+    _look_at_source(url, simulations=False)
+
+
+def _look_at_position(url: str) -> None:
+    from rtkmesh_services.ingest.urls import parse_source, wants_nearest
+
+    try:
+        nearest = wants_nearest(parse_source(url))
+    except SourceError:
+        return  # told where the URL stands
+    if nearest:
+        raise SourceError("is of one antenna, and ?nearest chooses among many")
+
+
+def _look_at_commands(table: IngestTable, folder: Path) -> None:
+    if table.commands != CommandsTable():
+        from rtkmesh_services.ingest.commands import commands_of
+
+        commands_of(table, folder)
 
 
 def _look_at_simulation(source: "SourceUrl") -> None:

@@ -7,6 +7,7 @@ import warnings
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import closing
 from enum import StrEnum
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -17,8 +18,10 @@ from rtkmesh.codecs.rinex_navigation import read_navigation
 from rtkmesh.codecs.rinex_observation import ObservationReader
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.errors import FormatError
+from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_services.errors import SourceError
+from rtkmesh_services.runtime.time_tags import TimeTags, parse_tag, parse_times
 
 _GZIP: Final = b"\x1f\x8b"
 _COMPRESSED: Final = (b"\x1f\x9d", b"BZh", b"PK\x03\x04")  # LZW (.Z), bzip2, zip
@@ -64,6 +67,16 @@ class Recording(ABC):
         """Yield each frame with its messages; text has no frames."""
         for message in self.messages():
             yield None, [message]
+
+    def timed_parts(self) -> Iterator[tuple[GpsTime | None, Frame | None, list[Message]]]:
+        """Yield each frame with its messages and, where it was recorded, when its last byte came (by the recording host's clock)."""
+        for frame, messages in self.parts():
+            yield None, frame, messages
+
+    def begin(self) -> GpsTime | None:
+        """Return the instant with which a replay begins: of the first bytes where that was recorded, else of the first epoch."""
+        with closing(self):
+            return next((message.time for message in self.messages() if isinstance(message, Epoch)), None)
 
     @property
     @abstractmethod
@@ -117,6 +130,40 @@ class RawRecording(Recording):
         for chunk in self.chunks():
             yield from self._decoder.feed(chunk)
         yield None, self._decoder.flush()
+
+
+class TimedRecording(RawRecording):
+    """A log whose bytes are played as they came: in the pieces and at the instants that its time tags say."""
+
+    def __init__(self, path: Path, kind: RecordingKind, opened: "_Opened", options: StreamOptions, tags: TimeTags) -> None:
+        super().__init__(path, kind, opened, options)
+        self._tags = tags
+
+    def timed_parts(self) -> Iterator[tuple[GpsTime | None, Frame | None, list[Message]]]:
+        """Yield each frame with its messages and the instant of its last byte."""
+        time = self._tags.start
+        for time, piece in self.pieces():
+            for frame, messages in self._decoder.feed(piece):
+                yield time, frame, messages
+        yield time, None, self._decoder.flush()
+
+    def pieces(self) -> Iterator[tuple[GpsTime, bytes]]:
+        """Yield the bytes of the log with their instants; what no tag speaks of came with the last one."""
+        tags, read = self._tags, 0
+        with self._opened.file as file:
+            file.seek(0)
+            for index, offset in enumerate(tags.offsets):
+                if offset > read and (data := file.read(offset - read)):
+                    read += len(data)
+                    yield tags.time(index), data
+            while data := file.read(_CHUNK):
+                yield tags.time(-1), data
+
+    def begin(self) -> GpsTime | None:
+        """Return the instant of the first bytes."""
+        self.close()
+        first = next((index for index, offset in enumerate(self._tags.offsets) if offset), None)
+        return None if first is None else self._tags.time(first)
 
 
 class ObservationRecording(Recording):
@@ -224,8 +271,8 @@ class _Opened:
         self.damage = "file/compression cut short"
 
 
-def open_recording(path: Path, date: GpsTime | None = None, *, options: StreamOptions | None = None) -> Recording:
-    """Return the recording at ``path``, opened for reading.
+def open_recording(path: Path, date: GpsTime | None = None, *, options: StreamOptions | None = None, timed: bool = False) -> Recording:
+    """Return the recording at ``path``, opened for reading; ``timed``: with the instants of arrival that are recorded beside it.
 
     ``date`` (within three days of its beginning) settles the week of RTCM 3 logs, which carry none. SourceError if the file
     is missing, empty, damaged, or of no known kind.
@@ -243,7 +290,27 @@ def open_recording(path: Path, date: GpsTime | None = None, *, options: StreamOp
     except BaseException:
         opened.file.close()
         raise
-    return RawRecording(path, kind, opened, options or StreamOptions(approximate_time=date))
+    options = options or StreamOptions(approximate_time=date)
+    if not timed:
+        return RawRecording(path, kind, opened, options)
+    try:
+        return TimedRecording(path, kind, opened, options, _tags_of(path))
+    except BaseException:
+        opened.file.close()
+        raise
+
+
+def _tags_of(path: Path) -> TimeTags:
+    """Return the time tags of a log: RTKLIB's PATH.tag, or our recorder's PATH.times."""
+    beside = {ending: path.with_name(path.name + ending) for ending in (".tag", ".times")}
+    found = next((ending for ending, file in beside.items() if file.is_file()), None)
+    if found is None:
+        raise SourceError(f"{path}: there is neither {beside['.tag'].name} nor {beside['.times'].name} with the times of arrival")
+    content = beside[found].read_bytes()
+    tags = parse_tag(content, path.stat().st_size) if found == ".tag" else parse_times(content)
+    if tags is None or not tags.offsets:
+        raise SourceError(f"{beside[found]} holds no times of this log")
+    return tags
 
 
 def _label(head: bytes) -> bytes:

@@ -1,7 +1,7 @@
 """Threads that play recordings and simulated receivers into the work loop, paced by a clock and by their consumers."""
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -74,20 +74,23 @@ class Replay:
             return
         self._put(LinkReport(LinkState.CONNECTED, str(self._recording.path)))
         try:
-            for frame, messages in self._recording.parts():
-                if not self._send_all(messages if frame is None else [frame, *messages], stopping):
+            for time, frame, messages in self._recording.timed_parts():
+                if time is not None:
+                    self._pace.wait(time, stopping)
+                if not self._send_all(messages if frame is None else [frame, *messages], stopping, paced=time is not None):
                     return
         except SourceError as error:
             self._put(LinkReport(LinkState.ERROR, str(error)))
         self._put(Ended())
 
-    def _send_all(self, items: Sequence[Frame | Message], stopping: threading.Event) -> bool:
-        """Send a frame and its messages when the consumers and the clock allow it; False when the process is to end."""
+    def _send_all(self, items: Sequence[Frame | Message], stopping: threading.Event, *, paced: bool) -> bool:
+        """Send a frame and its messages when the consumers and (unless ``paced``) the clock allow it; False when the process is to end."""
         for item in items:
             if isinstance(item, Epoch):
                 if not self._gate.wait(self._sequence, item.time, stopping):
                     return False
-                self._pace.wait(item.time, stopping)
+                if not paced:
+                    self._pace.wait(item.time, stopping)
             if not isinstance(item, Frame) and is_numbered(item):
                 self._sequence += 1
             while not self._put(Played(item, self._clock.mono_ns())):
@@ -99,7 +102,7 @@ class Replay:
 def recording_of(url: SourceUrl, date: str, observations: str) -> Recording:
     """Return the opened recording of a file URL; SourceError says what is wrong with it."""
     options = StreamOptions(approximate_time=date_of(date), observations=observations)
-    return open_recording(Path(url.path), date_of(date), options=options)
+    return open_recording(Path(url.path), date_of(date), options=options, timed=url.word("times") == "yes" and url.speed > 0.0)
 
 
 def date_of(text: str) -> GpsTime | None:
@@ -114,34 +117,29 @@ def date_of(text: str) -> GpsTime | None:
 
 
 def common_start(recordings: Iterable[Recording]) -> GpsTime | None:
-    """Return the latest of the recordings' first epochs: from there on they are played in step. None without epochs."""
-    firsts = [first for recording in recordings if (first := _first_epoch(recording.messages())) is not None]
-    return max(firsts, default=None)
-
-
-def _first_epoch(messages: Iterator[Message]) -> GpsTime | None:
-    return next((message.time for message in messages if isinstance(message, Epoch)), None)
+    """Return the latest of the recordings' beginnings: from there on they are played in step. None without any."""
+    return max((first for recording in recordings if (first := recording.begin()) is not None), default=None)
 
 
 class Simulation:
     """A simulated receiver: sends the bytes of each epoch at its instant of the host's UTC clock."""
 
-    def __init__(self, url: SourceUrl, clock: Clock, sink: Callable[[Chunk | LinkReport], None]) -> None:
-        self._url, self._clock, self._sink = url, clock, sink
+    def __init__(self, url: SourceUrl, clock: Clock, sink: Callable[[Chunk | LinkReport], None], source: int = 0) -> None:
+        self._url, self._clock, self._sink, self._source = url, clock, sink, source
 
     def run(self, stopping: threading.Event) -> None:
         """Send until ``stopping`` is set."""
         try:
             simulated = open_simulation(self._url, gps_now(self._clock))
         except OptionError as error:
-            self._sink(LinkReport(LinkState.ERROR, f"{self._url.path}: {error}"))
+            self._sink(LinkReport(LinkState.ERROR, f"{self._url.path}: {error}", self._source))
             return
-        self._sink(LinkReport(LinkState.CONNECTED, self._url.path))
+        self._sink(LinkReport(LinkState.CONNECTED, self._url.path, self._source))
         pause_s = 0.4 / self._url.number("rate", DEFAULT_RATE_HZ)
         for epoch in simulated.epochs():
             if stopping.wait(max(0.0, epoch.time - gps_now(self._clock))):
                 return
-            self._sink(Chunk(epoch.data, self._clock.mono_ns()))
+            self._sink(Chunk(epoch.data, self._clock.mono_ns(), self._source))
             if stopping.wait(pause_s):  # this epoch is to be solved before the next one is computed
                 return
 

@@ -5,9 +5,12 @@ from collections import Counter
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from rtkmesh.codecs.framing import FRAMED
 from rtkmesh.codecs.messages import Frame, Message
 from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReferenceStation
-from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.epoch import SLIP, Epoch
 from rtkmesh.gnss.signals import satellite_id
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.keys import END, EPH, IONO, OBS, RAW, REF
@@ -25,6 +28,11 @@ def is_numbered(message: Message) -> bool:
     return isinstance(message, Epoch | KeplerEphemeris | GlonassEphemeris | KlobucharParameters | ReferenceStation | GlonassBias)
 
 
+def all_slipped(epoch: Epoch) -> Epoch:
+    """Return an epoch before which nobody watched the phases."""
+    return replace(epoch, flags=np.where(np.isfinite(epoch.phase_cyc), epoch.flags | SLIP, epoch.flags).astype(np.uint8))
+
+
 class StreamPublisher:
     """Publishes the messages of one receiver in stream order. ``known`` replaces the position that the stream says."""
 
@@ -37,9 +45,13 @@ class StreamPublisher:
         self.newest: Epoch | None = None
         self._station = ReferenceStation(station_id=0, position_ecef_m=known, source="configuration" if known else "")
         self._bias: GlonassBias | None = None
+        self._slipped = False
 
     def open(self) -> None:
-        """Publish what is known before the first byte: a configured antenna position."""
+        """Publish what is known before the first byte: a configured antenna position. Learn who listens to raw frames."""
+        if self._raw:
+            for protocol in FRAMED:
+                self._bus.matched(RAW, protocol=protocol.value)
         if self._known is not None:
             self._reference()
 
@@ -61,22 +73,32 @@ class StreamPublisher:
             parameters = {"system": message.system, "alpha": message.alpha, "beta": message.beta}
             self._bus.publish(IONO, IonosphereMessage(**parameters, **self._next("iono")))
         elif isinstance(message, ReferenceStation):
-            known = self._known is not None
-            self._station = replace(message, position_ecef_m=self._known, source="configuration") if known else message
-            self._reference()
+            self._stand(message)
         elif isinstance(message, GlonassBias):
             self._bias = message
             self._reference()
+
+    def switch(self, station: ReferenceStation | None, bias: GlonassBias | None) -> None:
+        """Go on with another source: its antenna (None: nobody knows yet) instead of the last one's, and new phases."""
+        self._bias, self._slipped = bias, True
+        self._stand(station or ReferenceStation(station_id=0))
 
     def end(self) -> None:
         """Publish that a replayed source is at its end."""
         self._bus.publish(END, EndOfStream(**self._next("end")))
 
     def _epoch(self, epoch: Epoch, mono_ns: int) -> None:
+        if self._slipped:
+            self._slipped, epoch = False, all_slipped(epoch)
         utc_ns = self._context.clock.utc_ns()
         self._bus.publish(OBS, observation_of(epoch, mono_ns=mono_ns, utc_ns=utc_ns, **self._number("obs")))
         if self.newest is None or epoch.time > self.newest.time:
             self.newest = epoch
+
+    def _stand(self, station: ReferenceStation) -> None:
+        known = self._known is not None
+        self._station = replace(station, position_ecef_m=self._known, source="configuration") if known else station
+        self._reference()
 
     def _reference(self) -> None:
         station = self._station

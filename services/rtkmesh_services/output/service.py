@@ -8,6 +8,7 @@ from rtkmesh_schemas.keys import SOL, SOL_TEXT, Role
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode, encode_json
+from rtkmesh_services.output.frames import FrameOutputService
 from rtkmesh_services.output.targets import Target, open_target
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.service import Context, Report, Service
@@ -92,5 +93,5 @@ class OutputService(Service):
 
 
 def create(context: Context) -> Service:
-    """Return the output service of a context."""
-    return OutputService(context)
+    """Return the output service of a context: of a solver's lines, or of receivers' frames."""
+    return OutputService(context) if context.deployment.output[context.id].solver else FrameOutputService(context)

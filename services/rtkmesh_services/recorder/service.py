@@ -16,7 +16,9 @@ from rtkmesh_schemas.config import RecorderTable
 from rtkmesh_schemas.keys import RAW, Role
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.path_keywords import expanded, swap_number
 from rtkmesh_services.runtime.service import Context, Report, Service
+from rtkmesh_services.runtime.time_tags import TagWriter
 
 FLUSH_NS = 500_000_000  # at most this much is lost on a power cut
 _ATTACHMENT = struct.Struct("<QqQ")
@@ -29,11 +31,14 @@ class RawLog:
     path: Path
     data: BufferedWriter
     times: BufferedWriter
+    tag: BufferedWriter | None = None
+    number: int = 0
     size: int = 0
     frames: int = 0
+    _tags: TagWriter | None = None
 
     @staticmethod
-    def create(folder: Path, name: str, protocol: str, started: datetime) -> "RawLog":
+    def create(folder: Path, name: str, protocol: str, started: datetime, *, tags: bool = False) -> "RawLog":
         """Open a log under a name that does not exist yet."""
         folder.mkdir(parents=True, exist_ok=True)
         stem = f"{name}-{started:%Y%m%dT%H%M%SZ}"
@@ -41,7 +46,8 @@ class RawLog:
             path = folder / f"{stem}{f'-{number}' if number else ''}.{protocol}"
             with suppress(FileExistsError):
                 data = path.open("xb")
-                return RawLog(path, data, path.with_suffix(f".{protocol}.times").open("xb"))
+                times, tag = (path.with_name(path.name + ending) for ending in (".times", ".tag"))
+                return RawLog(path, data, times.open("xb"), tag.open("xb") if tags else None)
         raise OSError(f"{folder}: no free name for {stem}.{protocol}")
 
     def write(self, payload: bytes, attachment: bytes | None) -> None:
@@ -50,19 +56,31 @@ class RawLog:
         if attachment is not None and len(attachment) == _ATTACHMENT.size:
             sequence, utc_ns, mono_ns = _ATTACHMENT.unpack(attachment)
             self.times.write(b"%d %d %d %d\n" % (sequence, utc_ns, mono_ns, len(payload)))
+            self._tag(utc_ns, mono_ns, self.size + len(payload))
         self.size += len(payload)
         self.frames += 1
 
     def flush(self) -> None:
         """Hand everything to the operating system."""
-        self.data.flush()
-        self.times.flush()
+        for file in self._files():
+            file.flush()
 
     def close(self) -> None:
         """Close both files; what a full disk refuses is gone, the rest stays."""
-        for file in (self.data, self.times):
+        for file in self._files():
             with suppress(OSError):
                 file.close()
+
+    def _tag(self, utc_ns: int, mono_ns: int, size: int) -> None:
+        if self.tag is None:
+            return
+        if self._tags is None:
+            self._tags = TagWriter(utc_ns, mono_ns)
+            self.tag.write(self._tags.header)
+        self.tag.write(self._tags.record(mono_ns, size))
+
+    def _files(self) -> list[BufferedWriter]:
+        return [self.data, self.times, *([self.tag] if self.tag is not None else [])]
 
 
 class RecorderService(Service):
@@ -73,7 +91,6 @@ class RecorderService(Service):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._table: RecorderTable = context.deployment.recorder[context.id]
-        self._folder = Path(self._table.folder)
         self._logs: dict[tuple[str, str], RawLog] = {}
         self._lost: Counter[str] = Counter()
         self._error = ""
@@ -90,7 +107,7 @@ class RecorderService(Service):
             return
         _, name, _, protocol = item.key.split("/")
         try:
-            log = self._logs.get((name, protocol)) or self._create(name, protocol)
+            log = self._current(name, protocol)
             log.write(item.payload, item.attachment)
             self._recovered()
         except OSError as error:
@@ -123,9 +140,21 @@ class RecorderService(Service):
         for log in self._logs.values():
             log.close()
 
-    def _create(self, name: str, protocol: str) -> RawLog:
-        started = datetime.fromtimestamp(self.context.clock.utc_ns() * 1e-9, UTC)
-        log = self._logs[name, protocol] = RawLog.create(self._folder, name, protocol, started)
+    def _current(self, name: str, protocol: str) -> RawLog:
+        """Return the open log, a new one when it is time for it."""
+        log = self._logs.get((name, protocol))
+        number = swap_number(self.context.clock.utc_ns(), self._table.swap_hours)
+        if log is not None and log.number == number:
+            return log
+        if log is not None:
+            log.close()
+        return self._create(name, protocol, number)
+
+    def _create(self, name: str, protocol: str, number: int) -> RawLog:
+        utc_ns = self.context.clock.utc_ns()
+        folder, started = Path(expanded(self._table.folder, utc_ns)), datetime.fromtimestamp(utc_ns * 1e-9, UTC)
+        log = self._logs[name, protocol] = RawLog.create(folder, name, protocol, started, tags=self._table.tags)
+        log.number = number
         self.context.event(Level.INFO, "recording", f"recording {name} to {log.path}")
         return log
 

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeGuard, TypeVar
 
 import msgspec
 
-from rtkmesh_schemas.config import Deployment, SolverTable
+from rtkmesh_schemas.config import Deployment, OutputTable, SolverTable
 from rtkmesh_schemas.errors import BadKeyError, ConfigError
 from rtkmesh_schemas.keys import CONTROL_ID, Role, check_id
 from rtkmesh_services.runtime.toml_lines import lines_of
@@ -31,6 +31,7 @@ _UNKNOWN: Final = re.compile(r"unknown field `(?P<name>.*?)`")
 _MISSING: Final = re.compile(r"missing required field `(?P<name>.*?)`")
 _AT: Final = re.compile(r" - at `\$(?P<path>.*?)`$")
 _SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
+_MOUNT: Final = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _FILE_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 _LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
 _MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
@@ -284,9 +285,10 @@ def _check(reader: _Reader, deployment: Deployment) -> None:
         for index, navigation in enumerate(solver.navigation):
             _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
         _check_solver(reader, id, solver)
-    for role in ("attitude", "output"):
-        for id, table in getattr(deployment, role).items():  # noqa: A001
-            _check_reference(reader, "solver", table.solver, (role, id, "solver"))
+    for id, table in deployment.attitude.items():  # noqa: A001
+        _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
+    for id, output in deployment.output.items():  # noqa: A001
+        _check_output(reader, id, output)
     _check_lists(reader, deployment)
     for index, address in enumerate(deployment.hub.listen):
         if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):
@@ -302,6 +304,24 @@ def _check_solver(reader: _Reader, id: str, solver: SolverTable) -> None:  # noq
     for index, name in enumerate(solver.excluded):
         if not _SATELLITE.fullmatch(name):
             reader.fault(("solver", id, "excluded", str(index)), f"[solver.{id}] excluded: {clip(name)!r} is no satellite such as G05")
+
+
+def _check_output(reader: _Reader, id: str, output: OutputTable) -> None:  # noqa: A002
+    given = [name for name in ("solver", "receiver", "mounts") if getattr(output, name)]
+    wanted = "mounts" if output.target.startswith("ntrip-caster://") else "solver or receiver"
+    if len(given) != 1 or (given[0] == "mounts") != (wanted == "mounts"):
+        has = f"has {' and '.join(repr(name) for name in given)}" if given else "says nothing"
+        reader.fault(("output", id), f"[output.{id}] {has} where it needs {wanted}: what is to be sent")
+        return
+    if output.solver:
+        _check_reference(reader, "solver", output.solver, ("output", id, "solver"))
+    if output.receiver:
+        _check_reference(reader, "ingest", output.receiver, ("output", id, "receiver"))
+    for mount, receiver in output.mounts.items():
+        if not _MOUNT.fullmatch(mount):
+            text = f"{clip(mount)!r} is no mount point: letters, digits, '_', '-', '.'"
+            reader.fault(("output", id, "mounts", mount), f"[output.{id}] mounts: {text}")
+        _check_reference(reader, "ingest", receiver, ("output", id, "mounts", mount))
 
 
 def _check_id(reader: _Reader, owners: dict[str, str], role: str, id: str) -> None:  # noqa: A002

@@ -16,7 +16,9 @@ from rtkmesh_schemas.status import LogRecord
 from rtkmesh_services.runtime.bus import Bus
 
 MAXIMUM_TEXT: Final = 4000
-_SECRET: Final = re.compile(r"(?P<head>[a-z][a-z0-9+.-]*://[^\s:/@?#]*):(?P<secret>[^\s@]+)@", re.IGNORECASE)
+# A user may be a mail address, a password may hold anything but spaces: all up to the last @ is secret.
+_SECRET: Final = re.compile(r"(?P<head>[a-z][a-z0-9+.-]*://[^\s:/?#]*):(?P<secret>\S+)@", re.IGNORECASE)
+_SECRET_TABLES: Final = ("users",)
 _NAMED_SECRET: Final = re.compile(r"(?P<head>\b(?:password|passwd|secret|token|pw)=)[^\s&;\"']+", re.IGNORECASE)
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _COLOURS: Final = {"DEBUG": "\x1b[2m", "WARNING": "\x1b[33m", "ERROR": "\x1b[31m", "CRITICAL": "\x1b[31m"}
@@ -32,14 +34,18 @@ def clean(text: str) -> str:
 
 
 def masked(value: Any) -> Any:
-    """Return a plain value (dicts, lists, strings) with the secrets in its strings masked."""
+    """Return a plain value (dicts, lists, strings) with the secrets in its strings and in its tables of users masked."""
     if isinstance(value, str):
         return clean(value)
     if isinstance(value, dict):
-        return {name: masked(item) for name, item in value.items()}  # pyright: ignore[reportUnknownVariableType]  any plain value
+        return {name: _hidden(item) if name in _SECRET_TABLES else masked(item) for name, item in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  any plain value
     if isinstance(value, (list, tuple)):
         return [masked(item) for item in value]  # pyright: ignore[reportUnknownVariableType]  any plain value
     return value
+
+
+def _hidden(value: Any) -> Any:
+    return dict.fromkeys(value, "***") if isinstance(value, dict) else masked(value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  any plain value
 
 
 def fields_of(record: logging.LogRecord) -> dict[str, Any]:
