@@ -47,6 +47,7 @@ DRIFT_MPS: Final = 0.004  # what atmosphere and satellite clocks may add to a ti
 TOGETHER: Final = 0.25  # part of it that is left in a difference between receivers
 REPAIR_REDUNDANCY: Final = 3  # from here on the size of a jump is taken from the residual
 SLOW_S: Final = 2.5  # from this interval on, phases of both receivers are tested as one
+_BANDS: Final = 5  # of one satellite at most
 _BANDS_M: Final = 0.02  # by how much bands of one satellite may change apart: 5 and 4 cycles of L1 and L2 are 0.025 m
 _BANDS_MPS: Final = 0.002  # ... and per second, by the ionosphere
 _BANDS_SPREAD: Final = 4.0  # ... and at least so many times the median of all satellites
@@ -209,27 +210,33 @@ def _unknowns(moving: bool) -> int:
 @kernel
 def _doubts(satellite: NDArray[np.int16], change_m: Vector, dt_s: float, heard: Flags) -> Indices:
     """Return per phase 0, _HEARD (the receiver says that it slipped) or _SHOWN (another band of the satellite changed otherwise)."""
-    n = len(change_m)
-    doubt, apart_m = np.zeros(n, np.int64), np.full(n, np.nan)
-    for k in range(n):
+    doubt, limit_m, apart = np.zeros(len(change_m), np.int64), _BANDS_M + _BANDS_MPS * dt_s, False
+    for k in range(len(change_m)):
         doubt[k] = _HEARD if heard[k] else 0
-        if k > 0 and satellite[k] == satellite[k - 1]:
+        apart = apart or (k > 0 and satellite[k] == satellite[k - 1] and abs(change_m[k] - change_m[k - 1]) > limit_m)
+    if apart:
+        _compare_bands(satellite, change_m, limit_m, doubt)
+    return doubt
+
+
+@kernel
+def _compare_bands(satellite: NDArray[np.int16], change_m: Vector, least_m: float, doubt: Indices) -> None:
+    """Mark phases that differ from other bands of their satellite and agree with none."""
+    n = len(change_m)
+    apart_m = np.full(n, np.nan)
+    for k in range(1, n):
+        if satellite[k] == satellite[k - 1]:
             apart_m[k] = abs(change_m[k] - change_m[k - 1])
-    limit_m = max(_BANDS_M + _BANDS_MPS * dt_s, _BANDS_SPREAD * _median(apart_m))
+    limit_m = max(least_m, _BANDS_SPREAD * _median(apart_m))
     for k in range(n):
-        first = k
-        while first > 0 and satellite[first - 1] == satellite[k]:
-            first -= 1
         agreed, differs = False, False
-        for j in range(first, n):
-            if satellite[j] != satellite[k]:
-                break
-            if j != k and isfinite(change_m[j] - change_m[k]):
-                agreed = agreed or abs(change_m[j] - change_m[k]) <= limit_m
-                differs = differs or abs(change_m[j] - change_m[k]) > limit_m
+        for j in range(max(k - _BANDS, 0), min(k + _BANDS + 1, n)):
+            if satellite[j] != satellite[k] or j == k or not isfinite(change_m[j] - change_m[k]):
+                continue
+            agreed = agreed or abs(change_m[j] - change_m[k]) <= limit_m
+            differs = differs or abs(change_m[j] - change_m[k]) > limit_m
         if differs and not agreed:
             doubt[k] = _SHOWN
-    return doubt
 
 
 @kernel
@@ -238,6 +245,8 @@ def _electorate(satellite: NDArray[np.int16], change_m: Vector, doubt: Indices, 
     each other; all where too few are left.
     """
     unknowns, tested = _unknowns(moving), np.isfinite(change_m)
+    if not np.any(doubt):
+        return tested
     sure, unshown = tested & (doubt == 0), tested & (doubt != _SHOWN)
     few = (1.0 - _MANY) * _satellites(satellite, unshown)
     if unknowns + REPAIR_REDUNDANCY <= _satellites(satellite, sure) < few:
@@ -303,7 +312,7 @@ def _doubt_halves(k: int, verdict: int, jump_cyc: float, verdicts: Verdicts) -> 
 @kernel
 def _needed(satellite: NDArray[np.int16], k: int, residual_m: Vector) -> int:
     """Return the redundancy that makes a residual the size of a jump: one satellite where another band of this one is at its place."""
-    for j in range(max(k - 4, 0), min(k + 5, len(satellite))):
+    for j in range(max(k - _BANDS, 0), min(k + _BANDS + 1, len(satellite))):
         if j != k and satellite[j] == satellite[k] and abs(residual_m[j]) <= _BANDS_M:
             return 1
     return REPAIR_REDUNDANCY

@@ -119,8 +119,9 @@ def _fit_robustly(change_m: Vector, voices: Voices, voting: Vector, residual_m: 
 
 @kernel
 def _residuals(change_m: Vector, voices: Voices, y: Vector, residual_m: Vector) -> None:
+    direction, dx, dy, dz, clock = voices.direction, y[0], y[1], y[2], y[3]
     for k in range(len(change_m)):
-        residual_m[k] = change_m[k] - predicted_change_m(voices.direction, k, y)
+        residual_m[k] = change_m[k] - clock + direction[k, 0] * dx + direction[k, 1] * dy + direction[k, 2] * dz
 
 
 @kernel
@@ -270,18 +271,21 @@ def _fit(change_m: Vector, voices: Voices, weight: Vector, A: Matrix, y: Vector)
     """Solve the weighted normal equations of (motion, clock) into ``y``; ``A`` receives the inverse. False if singular."""
     A[:, :] = 0.0
     y[:] = 0.0
-    h = np.zeros(_UNKNOWNS)
-    h[3] = 1.0
+    direction, scale, h = voices.direction, -1.0 if voices.moving else 0.0, np.ones(_UNKNOWNS)
     for k in range(len(change_m)):
         w = weight[k]
         if not w > 0.0:
             continue
         for i in range(3):
-            h[i] = -voices.direction[k, i] if voices.moving else 0.0
+            h[i] = scale * direction[k, i]
         for i in range(_UNKNOWNS):
-            y[i] += w * h[i] * change_m[k]
-            for j in range(_UNKNOWNS):
-                A[i, j] += w * h[i] * h[j]
+            a = w * h[i]
+            y[i] += a * change_m[k]
+            for j in range(i + 1):
+                A[i, j] += a * h[j]
+    for i in range(_UNKNOWNS):
+        for j in range(i):
+            A[j, i] = A[i, j]
     if not voices.moving:
         for i in range(3):
             A[i, i] = 1.0
