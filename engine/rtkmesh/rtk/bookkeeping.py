@@ -12,15 +12,17 @@ from rtkmesh.gnss.signals import BEIDOU, GLONASS, SBAS
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.filter import predict_motion, reset_state
 from rtkmesh.rtk.residuals import BASE_PHASE, CHANNEL, CODE, ELEVATION_RAD, PHASE, ROVER_PHASE, WAVELENGTH, Differences
-from rtkmesh.rtk.slips import KNOWN_SLIP, NO_SLIP, SlipSetup, find_slips
+from rtkmesh.rtk.slips import CERTAIN, KNOWN_SLIP, NO_SLIP, SlipSetup, Verdicts, find_slips
 from rtkmesh.rtk.state import (
     ARC_EPOCHS,
     ARC_S,
+    AWAY_ROVER,
     BASE_LOCK_S,
     BASE_M,
     BASE_S,
     DYNAMIC,
     FIRST_PAIR_KEY,
+    HALF_CYC,
     INTEGER,
     ISSUE,
     REJECTS,
@@ -30,6 +32,7 @@ from rtkmesh.rtk.state import (
     SEEN_S,
     SLIPS,
     SLOPE_KEY,
+    STREAK,
     ZENITH_KEY,
     Filter,
     place_of,
@@ -176,25 +179,51 @@ def find_places(
 
 
 @kernel
-def apply_slips(
-    x: Vector, P: Matrix, history: Matrix, place: Indices, slip: Indices, jump_cyc: Vector, dynamic: int, time_s: float
-) -> None:
-    """Deal with slips and with phases that did not fit twice: a jump of known size moves its ambiguity, others begin anew."""
+def apply_slips(x: Vector, P: Matrix, history: Matrix, place: Indices, verdicts: Verdicts, dynamic: int, time_s: float) -> None:
+    """Deal with slips and with phases that did not fit twice.
+
+    A jump that is certain moves its ambiguity and nothing else, one of measured size makes it less certain, others begin it anew.
+    """
     for k in range(len(place)):
         if place[k] < 0 or not history[place[k], ARC_EPOCHS] >= 0.0:
             continue
-        row, again = history[place[k]], history[place[k], REJECTS] >= 2.0
-        if slip[k] == NO_SLIP and not again:
+        row, again, verdict = history[place[k]], history[place[k], REJECTS] >= 2.0, verdicts.slip[k]
+        if verdict == NO_SLIP and not again:
             continue
         row[SLIPS] += 1.0
-        row[INTEGER], row[REJECTS] = nan, 0.0
-        if slip[k] == KNOWN_SLIP and not again:
-            i = dynamic + place[k]
-            x[i] += jump_cyc[k]
-            P[i, i] += _KNOWN_SLIP_VARIANCE_CYC2
+        row[REJECTS] = 0.0
+        if verdict == CERTAIN and not again and _move_certainly(x, row, dynamic + place[k], verdicts.jump_cyc[k]):
+            continue
+        row[INTEGER] = nan
+        if verdict in (KNOWN_SLIP, CERTAIN) and not again:
+            x[dynamic + place[k]] += verdicts.jump_cyc[k]
+            P[dynamic + place[k], dynamic + place[k]] += _KNOWN_SLIP_VARIANCE_CYC2
             row[ARC_EPOCHS], row[ARC_S] = 0.0, time_s
         else:
             row[ARC_EPOCHS] = -1.0
+
+
+@kernel
+def _move_certainly(x: Vector, row: Vector, i: int, jump_cyc: float) -> bool:
+    """Move an ambiguity by a number of half cycles; an odd one stays in the phase of a held integer. False where it cannot stay there."""
+    whole = np.floor(jump_cyc)
+    if whole != jump_cyc:
+        if not isfinite(row[INTEGER]):
+            return False
+        whole += 1.0 if row[HALF_CYC] > 0.0 else 0.0
+        row[HALF_CYC] = 0.0 if row[HALF_CYC] > 0.0 else 0.5
+    x[i] += whole
+    row[INTEGER] += whole
+    row[STREAK] += whole
+    return True
+
+
+@kernel
+def take_half_cycles(table: Matrix, history: Matrix, place: Indices) -> None:
+    """Take from the phases the half cycles that they are off their integers."""
+    for k in range(len(place)):
+        if place[k] >= 0 and history[place[k], ARC_EPOCHS] >= 0.0 and history[place[k], HALF_CYC] > 0.0:
+            table[k, PHASE] -= history[place[k], HALF_CYC] * table[k, WAVELENGTH]
 
 
 @kernel
@@ -211,7 +240,7 @@ def begin_ambiguities(
         if not row[ARC_EPOCHS] >= 0.0:
             variance = _GLONASS_VARIANCE_CYC2 if satellite[k] // 64 == GLONASS else _AMBIGUITY_VARIANCE_CYC2
             reset_state(x, P, dynamic + place[k], (table[k, PHASE] - table[k, CODE]) / table[k, WAVELENGTH], variance)
-            row[ARC_EPOCHS], row[ARC_S], row[INTEGER] = 0.0, time_s, nan
+            row[ARC_EPOCHS], row[ARC_S], row[INTEGER], row[HALF_CYC] = 0.0, time_s, nan, 0.0
         if row[ARC_EPOCHS] > 0.0:
             inflation[k] = memory
 
@@ -227,6 +256,7 @@ def remember(f: Filter, d: Differences, layout: Layout, phase_used: NDArray[np.b
         row[ROVER_M], row[BASE_M] = d.table[k, ROVER_PHASE], d.table[k, BASE_PHASE]
         row[ROVER_LOCK_S], row[BASE_LOCK_S] = d.lock_s[k, 0], d.lock_s[k, 1]
         row[ISSUE] = d.issue[k]
+        row[AWAY_ROVER:] = 0.0
         row[ARC_EPOCHS] += 1.0
         row[REJECTS] = 0.0 if phase_used[k] else row[REJECTS] + 1.0
 
@@ -266,7 +296,9 @@ def systems_of(satellite: NDArray[np.int16]) -> int:
 
 
 class Arranged(NamedTuple):
-    """A filter laid out for an epoch: its places, and the rover's motion (m) against its models by time differences of the phases."""
+    """A filter laid out for an epoch: its places, and the rover's motion and clock (m, 4) against its models by time differences of the
+    phases.
+    """
 
     filter: Filter
     layout: Layout
@@ -276,10 +308,13 @@ class Arranged(NamedTuple):
 
 
 @kernel
-def lay_out(before: Filter, d: Differences, times_s: Vector, slips: SlipSetup, walks: Walks, phases: bool, atmosphere: int) -> Arranged:
+def lay_out(
+    before: Filter, d: Differences, times_s: Vector, slips: SlipSetup, expected: Vector, walks: Walks, phases: bool, atmosphere: int
+) -> Arranged:  # fmt: skip
     """Give every pair its states; deal with slips; begin new states.
 
-    ``times_s`` are those of ``find_slips``; ``atmosphere`` 0: none, 1: the zenith delay is a state, 2: the ionosphere per satellite too.
+    ``times_s`` and ``expected`` are those of ``find_slips``; ``atmosphere`` 0: none, 1: the zenith delay is a state, 2: the ionosphere
+    per satellite too.
     """
     n, dt = len(d.pairs.satellite), times_s[0] - times_s[2]
     known_step = isfinite(dt)
@@ -288,13 +323,14 @@ def lay_out(before: Filter, d: Differences, times_s: Vector, slips: SlipSetup, w
     ambiguity, ionosphere, inflation = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
     find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere == 2, ambiguity, ionosphere)
     begin_shared(f, walks, times_s[0], ionosphere)
-    slip, jump, motion, motion_cov = np.zeros(n, np.int64), np.zeros(n), np.zeros(3), np.zeros((3, 3))
-    redundancy = find_slips(d, f.history, ambiguity, times_s, slips, slip, jump, motion, motion_cov)
-    apply_slips(f.x, f.P, f.history, ambiguity, slip, jump, DYNAMIC, times_s[0])
+    verdicts = Verdicts(np.zeros(n, np.int64), np.zeros(n))
+    tested = find_slips(d, f.history, ambiguity, times_s, slips, expected, verdicts)
+    apply_slips(f.x, f.P, f.history, ambiguity, verdicts, DYNAMIC, times_s[0])
+    take_half_cycles(d.table, f.history, ambiguity)
     memory = max(1.0, 2.0 * walks.code_memory_s / max(dt, 1e-3)) if known_step else 1.0
     begin_ambiguities(f.x, f.P, f.history, ambiguity, d.pairs.satellite, d.table, DYNAMIC, times_s[0], memory, inflation)
     zenith, slope = place_of(f.keys, ZENITH_KEY), place_of(f.keys, SLOPE_KEY)
-    return Arranged(f, Layout(ambiguity, ionosphere, zenith, slope, inflation), redundancy, motion, motion_cov)
+    return Arranged(f, Layout(ambiguity, ionosphere, zenith, slope, inflation), tested.redundancy, tested.rover.step_m, tested.rover.cov_m2)
 
 
 @kernel

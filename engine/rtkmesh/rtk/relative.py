@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
+from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, settle
@@ -28,6 +29,7 @@ Matrix = NDArray[np.float64]
 # From here on the ionosphere is a state per satellite of the witness too. Nearer, states cost it more than they give (at 35 km 30 against
 # 97 % right fixes); there only the informed filter has them.
 LONG_BASELINE_M: Final = 70e3
+TIDE_BASELINE_M: Final = 20e3  # nearer, both ends move alike to a millimetre (95 %)
 _IONOSPHERE_SIGMA_PPM: Final = 2.0e-6
 _IONOSPHERE_WALK_PPM: Final = 0.024e-6  # per square root of second
 _ZENITH_WALK_M: Final = 5e-5  # per square root of second
@@ -38,6 +40,8 @@ _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less
 
 _DOPPLER_STEP_S: Final = 2.5  # over longer steps the mean of two velocities says little
 _DOPPLER_SIGMA_MPS: Final = 0.3  # of that mean: Doppler noise of patch antennas, and jerk
+_STEP_SIGMA_M: Final = 0.05  # of the motion in a step by Dopplers, beside their own sigma
+_JERK_SHARE: Final = 0.25  # part of a change of velocity by which the mean of two can be wrong
 
 SOLVED, FEW_COMMON, NOT_FINITE = range(3)
 
@@ -135,7 +139,11 @@ def differences_of(
     """Return the single differences of the signals that both epochs have; the first two of ``times_s`` are theirs."""
     length_m = sqrt(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2)
     given = conditions(setup, length_m, times_s[0] - times_s[1], times_s[1])
-    return observe(rover, base, match(rover, base, setup.rules), located, channel, klobuchar, base_ecef_m + f.x[:3], base_ecef_m, given)
+    rover_ecef_m = base_ecef_m + f.x[:3]
+    if length_m > TIDE_BASELINE_M:
+        tide_m = solid_tides(rover.week, rover.tow_s, rover_ecef_m, base_ecef_m)
+        rover_ecef_m, base_ecef_m = rover_ecef_m + tide_m[0], base_ecef_m + tide_m[1]
+    return observe(rover, base, match(rover, base, setup.rules), located, channel, klobuchar, rover_ecef_m, base_ecef_m, given)
 
 
 @kernel
@@ -146,7 +154,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         return Solved(FEW_COMMON, before, informed, before.x, before.P, figures, np.zeros((0, 0)))
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     atmosphere, walks = 2 if length_m > LONG_BASELINE_M else 0, walks_of(setup, length_m, known.memory)
-    arranged = lay_out(before, d, known.times_s, setup.slip, walks, setup.phases, atmosphere)
+    expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
+    arranged = lay_out(before, d, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
     f, layout = arranged.filter, arranged.layout
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
@@ -158,7 +167,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         free = decide(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
         if length_m > INFORMED_FROM_M and not setup.slip.base_moves:
-            motion = Motion(known.times_s, model_ecef_m - known.base_ecef_m, known.velocity_mps, known.velocity_cov_m2ps2)
+            motion = Motion(known.times_s, expected, model_ecef_m - known.base_ecef_m, known.velocity_mps, known.velocity_cov_m2ps2)
             use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
             settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
             resolution, informed, norm = settled.resolution, settled.informed, settled.norm
@@ -175,6 +184,22 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), figures, satellites)
     known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
     return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites)
+
+
+@kernel
+def expected_step(known: Known, model_ecef_m: Vector, base_moves: bool) -> Vector:
+    """Return where the Dopplers of both epochs say that the rover moved, against its model positions (m), and the sigma; NaN without."""
+    dt, out, change = known.times_s[0] - known.times_s[2], np.full(4, np.nan), 0.0
+    if base_moves or not dt <= _DOPPLER_STEP_S:
+        return out
+    for i in range(3):
+        before, now = known.prediction[4 + i], known.velocity_mps[i]
+        out[i] = 0.5 * dt * (before + now) - model_ecef_m[i] + known.last_model_ecef_m[i]
+        change += (now - before) ** 2
+    cov = known.velocity_cov_m2ps2
+    sigma_mps = min(sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2]), _DOPPLER_SIGMA_MPS)
+    out[3] = _STEP_SIGMA_M + dt * (sigma_mps + _JERK_SHARE * sqrt(change))
+    return out
 
 
 @kernel

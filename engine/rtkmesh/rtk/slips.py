@@ -1,8 +1,9 @@
-"""Cycle slips: what the receivers say, and time differences of the phase that do not fit the others.
+"""Cycle slips: what the receivers say, what bands of one satellite say of each other, and time differences that do not fit the others.
 
-The test of time differences (TDCP) is made per receiver on undifferenced phases: from one epoch to the next a receiver's phases change by
-its own motion (3), its clock (1) and by millimetres otherwise. A robust fit to many satellites finds slips of single cycles on one
-frequency, which a geometry-free combination cannot.
+Rover and base are tested apart (``time_differences``); over long intervals, in which the atmosphere moves too much for one alone, their
+difference is. Phases of which the receiver or another band says that they slipped do not vote on the motion. What is measured so well
+that only one number of half cycles is possible is *certain*: the ambiguity moves by it and is as good as before. A satellite that was
+away is held against the motion and clocks of all epochs since.
 """
 
 from math import isfinite
@@ -13,22 +14,52 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.rtk.residuals import BASE_PHASE, ROVER_PHASE, WAVELENGTH, Differences
-from rtkmesh.rtk.state import BASE_LOCK_S, BASE_M, BASE_S, ISSUE, ROVER_LOCK_S, ROVER_M, ROVER_S, SEEN_S
+from rtkmesh.rtk.state import (
+    AWAY_BASE,
+    AWAY_ROVER,
+    BASE_LOCK_S,
+    BASE_M,
+    BASE_S,
+    ISSUE,
+    ROVER_LOCK_S,
+    ROVER_M,
+    ROVER_S,
+    SEEN_S,
+    STEP,
+)  # fmt: skip
+from rtkmesh.rtk.time_differences import (
+    UNTESTED,
+    Motion,
+    Voices,
+    agreeing,
+    no_motion,
+    predicted_change_m,
+    prediction_sigma_m,
+    time_difference_test,
+)  # fmt: skip
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 DRIFT_MPS: Final = 0.004  # what atmosphere and satellite clocks may add to a time difference per second
-_FLOOR_M: Final = 0.004  # below this residuals count alike in the robust fit
-_ITERATIONS: Final = 12
+TOGETHER: Final = 0.25  # part of it that is left in a difference between receivers
 REPAIR_REDUNDANCY: Final = 3  # from here on the size of a jump is taken from the residual
+SLOW_S: Final = 2.5  # from this interval on, phases of both receivers are tested as one
+_BANDS: Final = 5  # of one satellite at most
+_BANDS_M: Final = 0.02  # by how much bands of one satellite may change apart: 5 and 4 cycles of L1 and L2 are 0.025 m
+_BANDS_MPS: Final = 0.002  # ... and per second, by the ionosphere
+_BANDS_SPREAD: Final = 4.0  # ... and at least so many times the median of all satellites
+_MANY: Final = 0.25  # part of the satellites that slip which the fit to the L1 norm does not bear for sure
+_CERTAIN_CYC: Final = 0.15  # a jump is a number of cycles if it is so near to one ...
+_HALF_CYC: Final = 0.08  # ... an odd number of half cycles if so near ...
+_CERTAIN_SIGMA_CYC: Final = 0.07  # ... and known so well: the next is 5 sigma away
 
-UNTESTED: Final = -1  # too few satellites for a test
-SLOW_S: Final = 2.5  # from this interval on, phases of both receivers are tested as one: the atmosphere moves too much for one alone
-
-# What happened to the phase of a pair. KNOWN_SLIP: the size of the jump was measured.
-NO_SLIP, KNOWN_SLIP, LOST = range(3)
+# What happened to the phase of a pair. KNOWN_SLIP: the size of the jump was measured; CERTAIN: it is this number of half cycles.
+NO_SLIP, KNOWN_SLIP, LOST, CERTAIN = range(4)
+# Why a phase does not vote.
+_HEARD, _SHOWN = 1, 2
 
 
 @kernel
@@ -48,228 +79,306 @@ class SlipSetup(NamedTuple):
     rover_moves: bool
 
 
+class Changes(NamedTuple):
+    """Changes of observed minus modelled phase since the last epoch (m, NaN: none), and the thresholds of their residuals (m).
+
+    ``together``: the rover's are those of the difference, and of the base there are none.
+    """
+
+    rover_m: Vector
+    base_m: Vector
+    rover_threshold_m: Vector
+    base_threshold_m: Vector
+    rover_dt_s: float
+    base_dt_s: float
+    together: bool
+
+
+class Tested(NamedTuple):
+    """What the tests of both receivers found; redundancies are in satellites: two bands of one satellite witness the same thing."""
+
+    rover: Motion
+    base: Motion
+    redundancy: int
+    base_redundancy: int
+
+
+class Verdicts(NamedTuple):
+    """What happened per pair, in arrays that are written to: NO_SLIP, KNOWN_SLIP, LOST or CERTAIN; the jump (cycles)."""
+
+    slip: Indices
+    jump_cyc: Vector
+
+
 @kernel
 def find_slips(
-    d: Differences, history: Matrix, place: Indices, times_s: Vector, setup: SlipSetup, slip: Indices, jump_cyc: Vector, motion: Vector,
-    motion_cov: Matrix,
-) -> int:  # fmt: skip
-    """Write per pair NO_SLIP, KNOWN_SLIP (with the jump in cycles) or LOST; the motion of the rover (m, against its model positions).
+    d: Differences, history: Matrix, place: Indices, times_s: Vector, setup: SlipSetup, expected: Vector, verdicts: Verdicts
+) -> Tested:
+    """Write the verdict on each pair; return the motions of both receivers (against their model positions).
 
-    ``place`` are rows of ``history`` (-1: no phase); ``times_s`` are now rover, now base, last rover, last base. Return the redundancy of
-    the rover's test, in satellites: two bands of one satellite witness the same thing.
+    ``place`` are rows of ``history`` (-1: no phase); ``times_s`` are now rover, now base, last rover, last base; ``expected`` is the
+    rover's motion by its Dopplers (m; its sigma), NaN without.
     """
-    n, wavelength = len(place), d.table[:, WAVELENGTH]
-    rover_dt, base_dt = times_s[0] - times_s[2], times_s[1] - times_s[3]
-    together = rover_dt > SLOW_S and abs(rover_dt - base_dt) < 0.1
-    change, threshold, residual = np.full(n, np.nan), np.empty(n), np.empty(n)
-    base_change, base_residual = np.full(n, np.nan), np.full(n, np.nan)
-    for k in range(n):
-        slip[k], jump_cyc[k], threshold[k] = NO_SLIP, 0.0, np.nan
+    changes = _changes(d, history, place, times_s, setup.threshold_cyc)
+    heard = _hear(d, history, place, times_s)
+    tested = _test(d, changes, heard, setup, expected)
+    for k in range(len(place)):
+        verdicts.slip[k], verdicts.jump_cyc[k] = NO_SLIP, 0.0
         if place[k] < 0:
             continue
         h = history[place[k]]
-        threshold[k] = setup.threshold_cyc * wavelength[k] + (0.25 if together else 1.0) * DRIFT_MPS * rover_dt
-        if h[ISSUE] == d.issue[k] and h[ROVER_S] == times_s[2]:
-            change[k] = d.table[k, ROVER_PHASE] - h[ROVER_M]
-        if h[ISSUE] == d.issue[k] and h[BASE_S] == times_s[3] and d.base_s[k] == times_s[1] and base_dt > 0.0:
-            base_change[k] = d.table[k, BASE_PHASE] - h[BASE_M]
-        if together:
-            change[k] -= base_change[k]
-    redundancy = time_difference_test(change, d.rover_direction, threshold, setup.rover_moves, residual, motion, motion_cov)
-    if redundancy != UNTESTED:
-        redundancy = min(redundancy, _agreeing(d.pairs.satellite, residual, threshold) - (4 if setup.rover_moves else 1))
-    base_redundancy = UNTESTED
-    if not together and base_dt > 0.0:
-        base_redundancy = _test_base(d, base_change, base_dt, setup, base_residual, slip)
-    for k in range(n):
-        if place[k] < 0:
-            continue
-        if redundancy != UNTESTED and abs(residual[k]) > threshold[k]:
-            slip[k] = KNOWN_SLIP
-        _hear_receivers(d, k, history[place[k]], times_s, setup.maximum_gap_s, slip)
-        if slip[k] != KNOWN_SLIP:
-            continue
-        jump = residual[k] if redundancy >= REPAIR_REDUNDANCY else np.nan
-        if not together and d.base_s[k] != history[place[k], BASE_S]:
-            jump -= base_residual[k] if base_redundancy >= REPAIR_REDUNDANCY else np.nan
-        jump_cyc[k] = jump / wavelength[k]
-        if not isfinite(jump):
-            slip[k] = LOST
-    return redundancy
+        gap_s = times_s[0] - h[SEEN_S]
+        if gap_s > 1.5 * changes.rover_dt_s:
+            longest_s = max(setup.maximum_gap_s, 2.5 * changes.rover_dt_s)
+            _judge_return(d, k, h, times_s, heard[0, k] or heard[1, k], tested, longest_s, setup.threshold_cyc, verdicts)
+        else:
+            _judge(d, k, h[BASE_S], heard[0, k] or heard[1, k], changes, tested, verdicts)
+    _follow_absent(history, place, times_s, changes, tested)
+    return tested
 
 
 @kernel
-def _agreeing(satellite: NDArray[np.int16], residual_m: Vector, threshold_m: Vector) -> int:
-    """Return how many satellites (sorted) have a phase that fits."""
+def _changes(d: Differences, history: Matrix, place: Indices, times_s: Vector, threshold_cyc: float) -> Changes:
+    n, rover_dt, base_dt = len(place), times_s[0] - times_s[2], times_s[1] - times_s[3]
+    together = rover_dt > SLOW_S and abs(rover_dt - base_dt) < 0.1
+    out = Changes(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), rover_dt, base_dt, together)
+    drift_m = (TOGETHER if together else 1.0) * DRIFT_MPS
+    for k in range(n):
+        if place[k] < 0:
+            continue
+        h = history[place[k]]
+        out.rover_threshold_m[k] = threshold_cyc * d.table[k, WAVELENGTH] + drift_m * rover_dt
+        out.base_threshold_m[k] = threshold_cyc * d.table[k, WAVELENGTH] + DRIFT_MPS * base_dt
+        if h[ISSUE] != d.issue[k]:
+            continue
+        if h[ROVER_S] == times_s[2]:
+            out.rover_m[k] = d.table[k, ROVER_PHASE] - h[ROVER_M]
+        if h[BASE_S] == times_s[3] and d.base_s[k] == times_s[1] and base_dt > 0.0:
+            out.base_m[k] = d.table[k, BASE_PHASE] - h[BASE_M]
+        if together:
+            out.rover_m[k] -= out.base_m[k]
+            out.base_m[k] = np.nan
+    return out
+
+
+@kernel
+def _hear(d: Differences, history: Matrix, place: Indices, times_s: Vector) -> Flags:
+    """Return (2 x n) whether the rover or the base says that a phase slipped or lost lock.
+
+    What a base epoch says counts once, however long it is used.
+    """
+    out = np.zeros((2, len(place)), np.bool_)
+    for k in range(len(place)):
+        if place[k] < 0:
+            continue
+        h = history[place[k]]
+        out[0, k] = d.flagged[k, 0] or lost_lock(d.lock_s[k, 0], h[ROVER_LOCK_S], times_s[0] - h[ROVER_S])
+        new_base = d.base_s[k] != h[BASE_S]
+        out[1, k] = new_base and (d.flagged[k, 1] or lost_lock(d.lock_s[k, 1], h[BASE_LOCK_S], d.base_s[k] - h[BASE_S]))
+    return out
+
+
+# --- the tests ---
+
+
+@kernel
+def _test(d: Differences, changes: Changes, heard: Flags, setup: SlipSetup, expected: Vector) -> Tested:
+    """Test the phases of both receivers."""
+    n, satellite = len(changes.rover_m), d.pairs.satellite
+    rover, base, wavelength_m = no_motion(n), no_motion(n), d.table[:, WAVELENGTH].copy()
+    said = heard[0] | heard[1] if changes.together else heard[0]
+    doubt = _doubts(satellite, changes.rover_m, (TOGETHER if changes.together else 1.0) * changes.rover_dt_s, said)
+    electorate = _electorate(satellite, changes.rover_m, doubt, setup.rover_moves)
+    voices = Voices(satellite, d.rover_direction, electorate, setup.rover_moves, expected, wavelength_m)
+    redundancy = time_difference_test(changes.rover_m, changes.rover_threshold_m, voices, rover)
+    if redundancy != UNTESTED:
+        redundancy = min(redundancy, agreeing(satellite, rover.residual_m, changes.rover_threshold_m) - _unknowns(setup.rover_moves))
+    base_redundancy = UNTESTED
+    if not changes.together and changes.base_dt_s > 0.0:
+        doubt = _doubts(satellite, changes.base_m, changes.base_dt_s, heard[1])
+        electorate = _electorate(satellite, changes.base_m, doubt, setup.base_moves)
+        voices = Voices(satellite, d.base_direction, electorate, setup.base_moves, np.full(4, np.nan), wavelength_m)
+        base_redundancy = time_difference_test(changes.base_m, changes.base_threshold_m, voices, base)
+    return Tested(rover, base, redundancy, base_redundancy)
+
+
+@kernel
+def _unknowns(moving: bool) -> int:
+    return 4 if moving else 1
+
+
+@kernel
+def _doubts(satellite: NDArray[np.int16], change_m: Vector, dt_s: float, heard: Flags) -> Indices:
+    """Return per phase 0, _HEARD (the receiver says that it slipped) or _SHOWN (another band of the satellite changed otherwise)."""
+    doubt, limit_m, apart = np.zeros(len(change_m), np.int64), _BANDS_M + _BANDS_MPS * dt_s, False
+    for k in range(len(change_m)):
+        doubt[k] = _HEARD if heard[k] else 0
+        apart = apart or (k > 0 and satellite[k] == satellite[k - 1] and abs(change_m[k] - change_m[k - 1]) > limit_m)
+    if apart:
+        _compare_bands(satellite, change_m, limit_m, doubt)
+    return doubt
+
+
+@kernel
+def _compare_bands(satellite: NDArray[np.int16], change_m: Vector, least_m: float, doubt: Indices) -> None:
+    """Mark phases that differ from other bands of their satellite and agree with none."""
+    n = len(change_m)
+    apart_m = np.full(n, np.nan)
+    for k in range(1, n):
+        if satellite[k] == satellite[k - 1]:
+            apart_m[k] = abs(change_m[k] - change_m[k - 1])
+    limit_m = max(least_m, _BANDS_SPREAD * _median(apart_m))
+    for k in range(n):
+        agreed, differs = False, False
+        for j in range(max(k - _BANDS, 0), min(k + _BANDS + 1, n)):
+            if satellite[j] != satellite[k] or j == k or not isfinite(change_m[j] - change_m[k]):
+                continue
+            agreed = agreed or abs(change_m[j] - change_m[k]) <= limit_m
+            differs = differs or abs(change_m[j] - change_m[k]) > limit_m
+        if differs and not agreed:
+            doubt[k] = _SHOWN
+
+
+@kernel
+def _electorate(satellite: NDArray[np.int16], change_m: Vector, doubt: Indices, moving: bool) -> Flags:
+    """Return which phases vote: not those that are shown to slip, nor those that are heard to where these are many and the others test
+    each other; all where too few are left.
+    """
+    unknowns, tested = _unknowns(moving), np.isfinite(change_m)
+    if not np.any(doubt):
+        return tested
+    sure, unshown = tested & (doubt == 0), tested & (doubt != _SHOWN)
+    few = (1.0 - _MANY) * _satellites(satellite, unshown)
+    if unknowns + REPAIR_REDUNDANCY <= _satellites(satellite, sure) < few:
+        return sure
+    if _satellites(satellite, unshown) >= unknowns:
+        return unshown
+    return np.isfinite(change_m)
+
+
+@kernel
+def _satellites(ordered: NDArray[np.int16], mask: Flags) -> int:
     count, last = 0, -1
-    for k in range(len(satellite)):
-        if abs(residual_m[k]) <= threshold_m[k] and satellite[k] != last:
-            last = satellite[k]
+    for k in range(len(ordered)):
+        if mask[k] and ordered[k] != last:
+            last = ordered[k]
             count += 1
     return count
 
 
 @kernel
-def _test_base(d: Differences, change_m: Vector, dt_s: float, setup: SlipSetup, residual_m: Vector, slip: Indices) -> int:
-    """Test the phases of the base by themselves; mark its slips; return the redundancy."""
-    spare, spare_cov, threshold = np.empty(3), np.empty((3, 3)), np.empty(len(slip))
-    for k in range(len(slip)):
-        threshold[k] = setup.threshold_cyc * d.table[k, WAVELENGTH] + DRIFT_MPS * dt_s
-    redundancy = time_difference_test(change_m, d.base_direction, threshold, setup.base_moves, residual_m, spare, spare_cov)
-    if redundancy != UNTESTED:
-        for k in range(len(slip)):
-            if abs(residual_m[k]) > threshold[k]:
-                slip[k] = KNOWN_SLIP
-    return redundancy
-
-
-@kernel
-def _hear_receivers(d: Differences, k: int, history: Vector, times_s: Vector, longest_gap_s: float, slip: Indices) -> None:
-    """Mark what the receivers say of pair k: slips, lock times, gaps."""
-    rover_dt = times_s[0] - times_s[2]
-    if d.flagged[k, 0] or lost_lock(d.lock_s[k, 0], history[ROVER_LOCK_S], times_s[0] - history[ROVER_S]):
-        slip[k] = KNOWN_SLIP
-    new_base = d.base_s[k] != history[BASE_S]  # what a base epoch says counts once, however long it is used
-    if new_base and (d.flagged[k, 1] or lost_lock(d.lock_s[k, 1], history[BASE_LOCK_S], d.base_s[k] - history[BASE_S])):
-        slip[k] = KNOWN_SLIP
-    gap_s = times_s[0] - history[SEEN_S]
-    if gap_s > max(longest_gap_s, 2.5 * rover_dt) or (gap_s > 1.5 * rover_dt and not d.lock_s[k, 0] > gap_s):
-        slip[k] = LOST
-
-
-@kernel
-def time_difference_test(
-    change_m: Vector, direction: Matrix, threshold_m: Vector, moving: bool, residual_m: Vector, motion: Vector, motion_cov: Matrix
-) -> int:
-    """Fit motion and clock to phase changes robustly (iterated re-weighting towards the L1 norm); write the residuals.
-
-    ``change_m`` (n, NaN: none) are changes of observed minus modelled phase, ``direction`` (n x 3) the unit vectors receiver to satellite,
-    ``motion`` (3) receives the displacement (m) against the model's and ``motion_cov`` its covariance from the inliers. A residual beyond
-    ``threshold_m`` is a slip. Return the redundancy of the inliers, or UNTESTED.
-    """
-    n, unknowns = len(change_m), 4 if moving else 1
-    weight = np.zeros(n)
-    used = 0
-    for k in range(n):
-        residual_m[k] = np.nan
-        if isfinite(change_m[k]):
-            weight[k] = 1.0
-            used += 1
-    motion[:] = 0.0
-    motion_cov[:, :] = np.nan
-    if used < unknowns + 1:
-        return UNTESTED
-    A, y = np.zeros((4, 4)), np.zeros(4)
-    clock = _median(change_m)
-    for k in range(n):
-        if weight[k] > 0.0 and not moving:
-            residual_m[k] = change_m[k] - clock
-    iterations = _ITERATIONS if moving else 0
-    for step in range(iterations + 1):
-        last = step == iterations
-        if last:
-            for k in range(n):
-                if weight[k] > 0.0:
-                    inside = abs(residual_m[k]) <= threshold_m[k] if step > 0 or not moving else True
-                    weight[k] = 1.0 if inside else 0.0
-        used = 0
-        for k in range(n):
-            used += 1 if weight[k] > 0.0 else 0
-        if last and used < unknowns:
-            return UNTESTED
-        if not _fit(change_m, direction, weight, moving, A, y):
-            return UNTESTED
-        for k in range(n):
-            if isfinite(change_m[k]):
-                residual_m[k] = change_m[k] - y[3]
-                for i in range(3):
-                    residual_m[k] += direction[k, i] * y[i]
-                if weight[k] > 0.0 and not last:
-                    weight[k] = 1.0 / max(abs(residual_m[k]), _FLOOR_M)
-    redundancy = used - unknowns
-    _spread(weight, residual_m, redundancy, A, motion_cov)
-    for i in range(3):
-        motion[i] = y[i]
-    return redundancy
-
-
-@kernel
-def _fit(change_m: Vector, direction: Matrix, weight: Vector, moving: bool, A: Matrix, y: Vector) -> bool:
-    """Solve the weighted normal equations of (motion, clock) into ``y``; ``A`` receives the inverse. False if singular."""
-    A[:, :] = 0.0
-    y[:] = 0.0
-    h = np.zeros(4)
-    h[3] = 1.0
-    for k in range(len(change_m)):
-        w = weight[k]
-        if not w > 0.0:
-            continue
-        for i in range(3):
-            h[i] = -direction[k, i] if moving else 0.0
-        for i in range(4):
-            y[i] += w * h[i] * change_m[k]
-            for j in range(4):
-                A[i, j] += w * h[i] * h[j]
-    if not moving:
-        for i in range(3):
-            A[i, i] = 1.0
-    return _invert(A, y)
-
-
-@kernel
-def _invert(A: Matrix, y: Vector) -> bool:
-    """Gauss-Jordan with a symmetric positive definite A, in place; ``y`` becomes the solution."""
-    n = len(y)
-    trace = 0.0
-    for i in range(n):
-        trace += A[i, i]
-    for k in range(n):
-        pivot = A[k, k]
-        if not pivot > 1e-9 * trace:
-            return False
-        for j in range(n):
-            A[k, j] /= pivot
-        A[k, k] = 1.0 / pivot
-        y[k] /= pivot
-        for i in range(n):
-            if i == k:
-                continue
-            f = A[i, k]
-            for j in range(n):
-                if j != k:
-                    A[i, j] -= f * A[k, j]
-            A[i, k] = -f / pivot
-            y[i] -= f * y[k]
-    return True
-
-
-@kernel
-def _spread(weight: Vector, residual_m: Vector, redundancy: int, A: Matrix, motion_cov: Matrix) -> None:
-    """Write the covariance of the motion: the inverse normal matrix times the variance of unit weight (at least (3 mm)^2)."""
-    total = 0.0
-    for k in range(len(weight)):
-        if weight[k] > 0.0:
-            total += residual_m[k] ** 2
-    unit = max(total / max(redundancy, 1), 0.003**2)
-    for i in range(3):
-        for j in range(3):
-            motion_cov[i, j] = A[i, j] * unit
-
-
-@kernel
 def _median(values: Vector) -> float:
-    """Return the median of the finite values (0 if there are none); insertion sort, for they are few."""
-    kept = np.empty(len(values))
-    n = 0
+    """Return the (lower) median of the finite values, 0 if there are none."""
+    kept, n = np.empty(len(values)), 0
     for k in range(len(values)):
-        if not isfinite(values[k]):
+        if isfinite(values[k]):
+            kept[n] = values[k]
+            n += 1
+    return float(np.sort(kept[:n])[(n - 1) // 2]) if n > 0 else 0.0
+
+
+# --- verdicts ---
+
+
+@kernel
+def _judge(d: Differences, k: int, last_base_s: float, heard: bool, changes: Changes, tested: Tested, verdicts: Verdicts) -> None:
+    """Judge a phase that was there in the last epoch."""
+    rover, base = tested.rover, tested.base
+    slipped = tested.redundancy != UNTESTED and abs(rover.residual_m[k]) > changes.rover_threshold_m[k]
+    slipped = slipped or (tested.base_redundancy != UNTESTED and abs(base.residual_m[k]) > changes.base_threshold_m[k])
+    if not slipped and not heard:
+        return
+    jump, sigma = np.nan, 0.0
+    if tested.redundancy >= _needed(d.pairs.satellite, k, rover.residual_m):
+        jump, sigma = rover.residual_m[k], prediction_sigma_m(d.rover_direction, k, rover)
+    if not changes.together and d.base_s[k] != last_base_s:
+        if tested.base_redundancy >= _needed(d.pairs.satellite, k, base.residual_m):
+            jump -= base.residual_m[k]
+            sigma += prediction_sigma_m(d.base_direction, k, base)
+        else:
+            jump = np.nan
+    _conclude(k, jump / d.table[k, WAVELENGTH], sigma / d.table[k, WAVELENGTH], verdicts)
+    if changes.rover_dt_s > SLOW_S:
+        _doubt_halves(k, KNOWN_SLIP, jump / d.table[k, WAVELENGTH], verdicts)
+
+
+@kernel
+def _doubt_halves(k: int, verdict: int, jump_cyc: float, verdicts: Verdicts) -> None:
+    """Where time has passed, no odd number of half cycles is certain."""
+    if verdicts.slip[k] == CERTAIN and verdicts.jump_cyc[k] != np.floor(verdicts.jump_cyc[k]):
+        verdicts.slip[k], verdicts.jump_cyc[k] = verdict, jump_cyc
+
+
+@kernel
+def _needed(satellite: NDArray[np.int16], k: int, residual_m: Vector) -> int:
+    """Return the redundancy that makes a residual the size of a jump: one satellite where another band of this one is at its place."""
+    for j in range(max(k - _BANDS, 0), min(k + _BANDS + 1, len(satellite))):
+        if j != k and satellite[j] == satellite[k] and abs(residual_m[j]) <= _BANDS_M:
+            return 1
+    return REPAIR_REDUNDANCY
+
+
+@kernel
+def _conclude(k: int, jump_cyc: float, sigma_cyc: float, verdicts: Verdicts) -> None:
+    """Write the verdict on a phase that slipped."""
+    halves = np.rint(2.0 * jump_cyc)
+    near = _CERTAIN_CYC if halves % 2.0 == 0.0 else _HALF_CYC
+    if not isfinite(jump_cyc):
+        verdicts.slip[k] = LOST
+    elif abs(jump_cyc - 0.5 * halves) <= near and sigma_cyc <= _CERTAIN_SIGMA_CYC:
+        verdicts.slip[k], verdicts.jump_cyc[k] = CERTAIN, 0.5 * halves
+    else:
+        verdicts.slip[k], verdicts.jump_cyc[k] = KNOWN_SLIP, jump_cyc
+
+
+# --- satellites that were away ---
+
+
+@kernel
+def _judge_return(
+    d: Differences, k: int, h: Vector, times_s: Vector, heard: bool, tested: Tested, longest_s: float, threshold_cyc: float,
+    verdicts: Verdicts,
+) -> None:  # fmt: skip
+    """Judge a phase that was away, by the motions and clocks since; where they are not known, by the receivers' words alone.
+
+    What was acquired anew begins anew: whole numbers of cycles from before cost fixes on recordings.
+    """
+    gap_s = times_s[0] - h[SEEN_S]
+    kept = d.lock_s[k, 0] > gap_s and not heard
+    if gap_s > longest_s:
+        verdicts.slip[k] = LOST
+        return
+    jump_m, known = np.nan, tested.redundancy >= REPAIR_REDUNDANCY and h[ISSUE] == d.issue[k] and d.base_s[k] == times_s[1]
+    if known:
+        jump_m = d.table[k, ROVER_PHASE] - h[ROVER_M] - d.table[k, BASE_PHASE] + h[BASE_M]
+        jump_m -= predicted_change_m(d.rover_direction, k, h[AWAY_ROVER : AWAY_ROVER + STEP] + tested.rover.step_m)
+        jump_m += predicted_change_m(d.base_direction, k, h[AWAY_BASE : AWAY_BASE + STEP] + tested.base.step_m)
+    jump_cyc = jump_m / d.table[k, WAVELENGTH]
+    if kept and not abs(jump_cyc) > threshold_cyc + TOGETHER * DRIFT_MPS * gap_s / d.table[k, WAVELENGTH]:
+        return
+    sigma_m = prediction_sigma_m(d.rover_direction, k, tested.rover) if known else np.nan
+    _conclude(k, jump_cyc, sigma_m / d.table[k, WAVELENGTH], verdicts)
+    _doubt_halves(k, LOST, 0.0, verdicts)
+    if verdicts.slip[k] == KNOWN_SLIP or not (kept or not isfinite(d.lock_s[k, 0])):
+        verdicts.slip[k] = LOST
+
+
+@kernel
+def _follow_absent(history: Matrix, place: Indices, times_s: Vector, changes: Changes, tested: Tested) -> None:
+    """Add this step of both receivers to those that the phases which are not here have missed; NaN where a step is not known."""
+    present = np.zeros(len(history), np.bool_)
+    for k in range(len(place)):
+        if place[k] >= 0:
+            present[place[k]] = True
+    rover_known = tested.redundancy >= REPAIR_REDUNDANCY
+    base_moved = changes.base_dt_s != 0.0 and not changes.together
+    base_known = not base_moved or tested.base_redundancy >= REPAIR_REDUNDANCY
+    for row in range(len(history)):
+        if present[row]:
             continue
-        place = n
-        while place > 0 and kept[place - 1] > values[k]:
-            kept[place] = kept[place - 1]
-            place -= 1
-        kept[place] = values[k]
-        n += 1
-    if n == 0:
-        return 0.0
-    return kept[n // 2] if n % 2 == 1 else 0.5 * (kept[n // 2 - 1] + kept[n // 2])
+        h = history[row]
+        unlike = h[SEEN_S] == times_s[2] and h[BASE_S] != times_s[3]  # its base epoch was another one
+        for i in range(STEP):
+            h[AWAY_ROVER + i] += tested.rover.step_m[i] if rover_known and not unlike else np.nan
+            if base_moved:
+                h[AWAY_BASE + i] += tested.base.step_m[i] if base_known else np.nan
