@@ -11,10 +11,11 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.acceptance import SURE
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
+from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
-from rtkmesh.rtk.memory import SLOPE, SLOPE_SIGMA, ResolveSetup
+from rtkmesh.rtk.memory import CONFIRMED, SLOPE, SLOPE_SIGMA, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, learn_phases, phase_factor
-from rtkmesh.rtk.report import FIGURES, describe_fit, describe_pairs, describe_resolution
+from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
@@ -58,6 +59,7 @@ class Setup(NamedTuple):
     ambiguity_walk_cyc: float
     phases: bool
     resolving: bool
+    integrity: IntegritySetup
     antennas: Vector
 
 
@@ -148,12 +150,18 @@ def solve(before: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
     resolution = not_resolved()
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
+        confirmed = known.memory[CONFIRMED]
         resolution = resolve(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
+        note_agreement(known.memory, confirmed, time_s)
+    guarded = guard(
+        f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, model_ecef_m - known.base_ecef_m,
+    )  # fmt: skip
     if resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE):
         squares = (outcome.phase_chi2 + resolution.norm) * phase_factor(known.scale)
         learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
+    describe_guard(guarded, resolution.odds, figures)
     if not resolution.fixed:
         return Solved(
             SOLVED, f, f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), figures, describe_pairs(f, d, layout, outcome, False, time_s)
