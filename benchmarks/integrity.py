@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """Do fix probabilities, protection levels and the integrity flag keep what they promise? Simulated runs and recordings against the truth.
 
-  integrity.py [--data DIR] [--runs N] [--seed S] [--only NAME,...] [--quick] [--json] [--jobs N]
+  integrity.py [--data DIR] [--runs N] [--seed S] [--risk R] [--only NAME,...] [--quick] [--json] [--jobs N]
 
 Four tables. *Probabilities*: fixes by their published probability of being wrong (1 - fix_probability): the share that is wrong (off by
 more than 0.15 m in 3D), and the runs with any such wrong fix of the runs with such a fix, with bounds of 95 % confidence; epochs of one run
-hang together, runs do not. *Protection levels*: epochs and runs in which the error is beyond a level, fixes and floats apart. *Alert
+hang together, runs do not. What is off that far but within 3 of its own sigmas (3D) has a poor geometry and not wrong integers: it is
+counted apart. *Protection levels*: epochs and runs in which the error is beyond a level, fixes and floats apart. *Alert
 limits*: with limits of 0.1 m (horizontal) and 0.2 m (vertical), and of 1 m: available (levels inside the limits), misleading (error beyond
 a level, not beyond the limit) and hazardous (available, and the error beyond the limit). *Flags*: what was flagged of right and of wrong
 solutions.
@@ -38,7 +39,7 @@ from families import FAMILIES
 from results import table
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.integrity import Integrity
-from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
+from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, IntegrityOptions, RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
 from score_pos import read_track
 from sigmas import RECORDED
@@ -54,10 +55,12 @@ QUICK: Final = ("tokyo_static_l1gps", "kanagawa_60s")
 TRACKED: Final = ("galway_a", "galway_b_walk", "galway_b_glw1")  # against another engine's track
 BINS: Final = (0.0, 2e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
 LIMITS: Final = ((0.1, 0.2), (1.0, 1.0))
+SIGMAS: Final = 3.0  # within so many of its own a fix that is far off has a poor geometry
 _LONGEST_GAP_S: Final = 1.6  # of a reference track
-# Columns of what is kept of a solution: status, error (m), 1 - fix_probability, protection levels (m), flag (0 ok, 1 failed, 2
-# unavailable).
-STATUS, EAST, NORTH, UP, WRONG, LEVEL_H, LEVEL_V, FLAG = range(8)
+# Columns of what is kept of a solution: status, error (m), sigma (m, 3D), 1 - fix_probability, protection levels (m), flag (0
+# ok, 1 failed, 2 unavailable).
+STATUS, EAST, NORTH, UP, SIGMA, WRONG, LEVEL_H, LEVEL_V, FLAG = range(9)
+COLUMNS: Final = 9
 _FLAGS: Final = tuple(Integrity)
 
 
@@ -72,44 +75,58 @@ class Checked:
 
 def rows_of(solutions: Sequence[Solution | None], error_enu_m: Vector) -> Vector:
     """Return the relative solutions whose errors (n x 3) are known."""
-    return np.array(
-        [
-            (s.status, *error, 1.0 - s.fix_probability, s.protection_horizontal_m, s.protection_vertical_m, _FLAGS.index(s.integrity))
-            for s, error in zip(solutions, error_enu_m, strict=True)
-            if s is not None and np.isfinite(error).all() and not np.isnan(s.protection_horizontal_m)
-        ],
-        np.float64,
-    ).reshape(-1, 8)
+    rows = [
+        (
+            s.status,
+            *error,
+            _sigma_m(s),
+            1.0 - s.fix_probability,
+            s.protection_horizontal_m,
+            s.protection_vertical_m,
+            _FLAGS.index(s.integrity),
+        )
+        for s, error in zip(solutions, error_enu_m, strict=True)
+        if s is not None and np.isfinite(error).all() and not np.isnan(s.protection_horizontal_m)
+    ]
+    return np.array(rows, np.float64).reshape(-1, COLUMNS)
 
 
-def of_run(name: str, seed: int, run: int) -> Checked:
+def _sigma_m(solution: Solution) -> float:
+    return float(np.sqrt(np.trace(solution.baseline_cov_ecef_m2)))
+
+
+def of_run(name: str, seed: int, run: int, risk: float) -> Checked:
     """Simulate, solve and judge a run of the campaign."""
     family = next(f for f in FAMILIES if f.name == name)
     rng = random_of(family, seed, run)
     simulated = simulate(family.make(rng), rng)
+    options = replace(simulated.setup.options, integrity=IntegrityOptions(risk=risk))
+    simulated = replace(simulated, setup=replace(simulated.setup, options=options))
     solutions = solve(simulated)
     return Checked(name, run, rows_of(solutions, judge(simulated, solutions).error_enu_m))
 
 
-def of_recording(case: Case) -> list[Checked]:
+def of_recording(case: Case, risk: float) -> list[Checked]:
     """Return the solutions of a recording with integers, and the floats without."""
-    options = RtkOptions(systems=case.systems, frequencies=case.frequencies)
+    options = RtkOptions(systems=case.systems, frequencies=case.frequencies, integrity=IntegrityOptions(risk=risk))
     fixing = recorded.solutions(case, options)
     floating = recorded.solutions(case, replace(options, ambiguity=AmbiguityOptions(mode=AmbiguityMode.OFF)))
-    errors = errors_of(case, fixing)
-    right = np.array([s.status is Status.FIX for s in fixing]) & (np.linalg.norm(errors, axis=1) <= WRONG_M)
+    fixed = np.array([s.status is Status.FIX for s in fixing])
+    middle = np.median([s.position_ecef_m for s in fixing if s.status is Status.FIX], axis=0)
+    errors = errors_of(case, fixing, middle)
+    right = fixed & (np.linalg.norm(errors, axis=1) <= WRONG_M)
     offset_m = errors[right].mean(axis=0) if RECORDED.get(case.name) else np.zeros(3)
     name = case.name + RECORDED.get(case.name, "")
-    parts = ((fixing, errors), (floating, errors_of(case, floating)))
+    parts = ((fixing, errors), (floating, errors_of(case, floating, middle)))
     return [Checked(name, k, rows_of(solutions, error - offset_m)) for k, (solutions, error) in enumerate(parts)]
 
 
-def errors_of(case: Case, solutions: Sequence[Solution]) -> Vector:
-    """Return the errors (n x 3, east-north-up) against the truth of a case, NaN where it has none."""
+def errors_of(case: Case, solutions: Sequence[Solution], middle_ecef_m: Vector) -> Vector:
+    """Return the errors (n x 3, east-north-up) against the truth of a case or, without one, the ``middle`` of its fixes; NaN in gaps."""
     position = np.array([s.position_ecef_m for s in solutions])
     if case.truth.reference is None:
         known = case.truth.position_ecef_m
-        truth = np.median(position, axis=0) if known is None else np.array(known)
+        truth = middle_ecef_m if known is None else np.array(known)
     else:
         truth = _track_at(case.truth.reference, np.array([s.time.week * 604800.0 + s.time.tow_s for s in solutions]))
     place = position[np.isfinite(position[:, 0])][0]
@@ -151,9 +168,14 @@ class Pool:
         return np.hypot(self.rows[:, EAST], self.rows[:, NORTH])
 
     @property
-    def wrong(self) -> Flags:
+    def far(self) -> Flags:
         """Fixes off by more than WRONG_M."""
         return (self.rows[:, STATUS] == int(Status.FIX)) & (np.linalg.norm(self.rows[:, EAST : UP + 1], axis=1) > WRONG_M)
+
+    @property
+    def wrong(self) -> Flags:
+        """Those of them that are off by more than their own sigma explains."""
+        return self.far & (np.linalg.norm(self.rows[:, EAST : UP + 1], axis=1) > SIGMAS * self.rows[:, SIGMA])
 
     @property
     def beyond(self) -> Flags:
@@ -175,7 +197,7 @@ class Pool:
 
 def pooled(checked: Sequence[Checked]) -> Pool:
     """Return the rows of all."""
-    rows = np.concatenate([c.rows for c in checked]) if checked else np.zeros((0, 8))
+    rows = np.concatenate([c.rows for c in checked]) if checked else np.zeros((0, COLUMNS))
     return Pool(rows, np.repeat(np.arange(len(checked)), [len(c.rows) for c in checked]))
 
 
@@ -189,7 +211,7 @@ def probabilities(pool: Pool) -> list[Row]:
         with_wrong, runs = part.runs(part.wrong)
         out.append({
             "published": [low, high], "fixes": len(part.run), "mean_published": float(part.rows[:, WRONG].mean()),
-            "wrong": int(part.wrong.sum()), "share": float(part.wrong.mean()), "runs": runs, "runs_with_wrong": with_wrong,
+            "far_within_sigma": int((part.far & ~part.wrong).sum()), "wrong": int(part.wrong.sum()), "share": float(part.wrong.mean()), "runs": runs, "runs_with_wrong": with_wrong,
             "runs_share_95": clopper_pearson(with_wrong, runs),
         })  # fmt: skip
     return out
@@ -246,6 +268,7 @@ _PROBABILITIES: Final = (
     "published probability of wrong",
     "fixes",
     "mean published",
+    "far within 3 sigma",
     "wrong",
     "share wrong",
     "runs with wrong / runs (95 %)",
@@ -269,7 +292,8 @@ def page(found: dict[str, Any]) -> str:
 def _probability_cells(row: Row) -> list[str]:
     low, high = row["published"]
     return [
-        f"{low:.0e} to {high:.0e}", str(row["fixes"]), f"{row['mean_published']:.1e}", str(row["wrong"]), f"{row['share']:.1e}",
+        f"{low:.0e} to {high:.0e}", str(row["fixes"]), f"{row['mean_published']:.1e}", str(row["far_within_sigma"]),
+        str(row["wrong"]), f"{row['share']:.1e}",
         f"{row['runs_with_wrong']} / {row['runs']} ({_range(row['runs_share_95'])})",
     ]  # fmt: skip
 
@@ -299,18 +323,18 @@ def _range(bounds: Sequence[float]) -> str:
     return f"{bounds[0]:.1e} to {bounds[1]:.1e}"
 
 
-def simulated_runs(names: Sequence[str], runs: int, seed: int, jobs: int) -> list[Checked]:
+def simulated_runs(names: Sequence[str], runs: int, seed: int, risk: float, jobs: int) -> list[Checked]:
     """Return the campaign's runs, as many of each family."""
     each = -(-runs // max(len(names), 1))
-    work = [(name, seed, run) for run in range(each) for name in names]
+    work = [(name, seed, run, risk) for run in range(each) for name in names]
     with ProcessPoolExecutor(jobs) as pool:
         return list(pool.map(of_run, *zip(*work, strict=True))) if work else []
 
 
-def recordings(data: Path | None, names: Sequence[str]) -> Iterator[Checked]:
+def recordings(data: Path | None, names: Sequence[str], risk: float) -> Iterator[Checked]:
     """Yield what is checked of each recording."""
     for case in load(data, list(names)) if data else ():
-        yield from of_recording(case)
+        yield from of_recording(case, risk)
 
 
 def main() -> int:
@@ -323,8 +347,8 @@ def main() -> int:
     cases = [name for name in (*RECORDED, *TRACKED) if not wanted or name in wanted]
     runs = options.runs or (QUICK_RUNS if options.quick else RUNS)
     found = {
-        "simulated": figures(simulated_runs(families, runs, options.seed, options.jobs)),
-        "recorded": figures(list(recordings(data, [name for name in cases if not options.quick or name in QUICK]))),
+        "simulated": figures(simulated_runs(families, runs, options.seed, options.risk, options.jobs)),
+        "recorded": figures(list(recordings(data, [name for name in cases if not options.quick or name in QUICK], options.risk))),
     }
     print(json.dumps(found, indent=1) if options.json else "\n".join(page(part) for part in found.values()))
     return 0
@@ -335,6 +359,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, help="folder of the recordings")
     parser.add_argument("--runs", type=int, default=0, help=f"simulated, in all families together (default {RUNS})")
     parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--risk", type=float, default=IntegrityOptions().risk, help="per epoch, for the protection levels")
     parser.add_argument("--only", help="names of families and recordings, with commas between")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs, two recordings")
     parser.add_argument("--json", action="store_true", help="all figures, for programs")

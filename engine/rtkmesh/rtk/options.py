@@ -80,7 +80,7 @@ class IntegrityOptions:
     def __post_init__(self) -> None:
         if not 1e-12 <= self.risk <= 0.1:
             raise OptionError(f"integrity risk is {self.risk}, must be 1e-12 to 0.1")
-        if not min(self.alert_horizontal_m, self.alert_vertical_m) > 0.0:
+        if not (self.alert_horizontal_m > 0.0 and self.alert_vertical_m > 0.0):
             raise OptionError("alert limits must be above 0 m")
 
 
