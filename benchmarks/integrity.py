@@ -211,7 +211,8 @@ def probabilities(pool: Pool) -> list[Row]:
         with_wrong, runs = part.runs(part.wrong)
         out.append({
             "published": [low, high], "fixes": len(part.run), "mean_published": float(part.rows[:, WRONG].mean()),
-            "far_within_sigma": int((part.far & ~part.wrong).sum()), "wrong": int(part.wrong.sum()), "share": float(part.wrong.mean()), "runs": runs, "runs_with_wrong": with_wrong,
+            "far_within_sigma": int((part.far & ~part.wrong).sum()),
+            "wrong": int(part.wrong.sum()), "share": float(part.wrong.mean()), "runs": runs, "runs_with_wrong": with_wrong,
             "runs_share_95": clopper_pearson(with_wrong, runs),
         })  # fmt: skip
     return out
