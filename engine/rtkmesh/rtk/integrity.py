@@ -42,8 +42,8 @@ FALSE_ALARM_SIGMAS: Final = 3.72  # tests fail sound epochs with 1e-4
 SURENESS: Final = 1.5  # c at the base: log odds are too sure by this
 SURENESS_FAR: Final = 1.5  # what c grows by until FAR_M: what is left of the atmosphere lasts, so later epochs do not unmask it
 FAR_M: Final = 10e3
-WRONG_MOST: Final = 0.2  # with no odds at all: what is held has been believed for some reason
-WRONG_UNAGREED: Final = 0.35  # when no free search gave it for UNAGREED_EPOCHS
+WRONG_MOST: Final = 0.3  # with no odds at all: what is held has been believed for some reason
+WRONG_UNAGREED: Final = 0.5  # when no free search gave it for UNAGREED_EPOCHS
 UNAGREED_EPOCHS: Final = 5.0  # SEARCH_EVERY: large sets are searched that rarely
 WRONG_LEAST: Final = 1e-6  # nothing supports less
 
