@@ -15,6 +15,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.integrity import (
+    HIDDEN_M,
     INFLATION,
     SATELLITE_FAULT,
     WRONG_LEAST,
@@ -188,6 +189,16 @@ def test_a_fix_under_open_sky_is_ok_and_inside_its_levels(scene: tuple[list, np.
         assert np.hypot(east, north) <= solution.protection_horizontal_m < 0.1
         assert abs(up) <= solution.protection_vertical_m < 0.2
         assert (np.linalg.eigvalsh(solution.acceleration_cov_ecef_m2ps4) > 0.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("systems", "hidden"), [("E", False), ("C", True)])
+def test_a_weak_geometry_makes_no_sure_fix(scene: tuple[list, np.ndarray, np.ndarray], systems: str, hidden: bool):
+    """However sure the search is: seven satellites, but where one of them could hide 0.15 m a slip of any may have done so."""
+    last = solved(scene, RtkOptions(systems=systems))[-1]
+    assert last.status is Status.FIX
+    assert (max(last.protection_horizontal_m, last.protection_vertical_m) > HIDDEN_M) == hidden
+    assert (1.0 - last.fix_probability >= 7.0 * SATELLITE_FAULT) == hidden
 
 
 @pytest.mark.slow

@@ -46,6 +46,7 @@ WRONG_MOST: Final = 0.3  # with no odds at all: what is held has been believed f
 WRONG_UNAGREED: Final = 0.5  # when no free search gave it for UNAGREED_EPOCHS
 UNAGREED_EPOCHS: Final = 5.0  # SEARCH_EVERY: large sets are searched that rarely
 WRONG_LEAST: Final = 1e-6  # nothing supports less
+HIDDEN_M: Final = 0.15  # a level of the phases beyond this: one wrong satellite, by an untold slip, hides a wrong fix from every search
 
 
 class IntegritySetup(NamedTuple):
@@ -131,12 +132,19 @@ def widen(levels: Vector, judged: Vector, place: Vector, cov: Matrix, sigmas: fl
 
 
 @kernel
+def satellites_in(ranges: Ranges) -> int:
+    """Return how many satellites there are."""
+    count = 0
+    for k in range(len(ranges.weight)):
+        count += 1 if k == 0 or ranges.satellite[k] != ranges.satellite[k - 1] else 0
+    return count
+
+
+@kernel
 def widen_by_satellites(levels: Vector, judged: Vector, ranges: Ranges, whole: Epochwise, prior: float, budget: float) -> None:
     """Raise the levels to what the solutions without each satellite allow, each at its part of ``budget``."""
-    n, count = len(ranges.weight), 0
-    for k in range(n):
-        count += 1 if k == 0 or ranges.satellite[k] != ranges.satellite[k - 1] else 0
-    sigmas = INFLATION * widening(prior * SATELLITE_FAULT, budget / max(count, 1))
+    n = len(ranges.weight)
+    sigmas = INFLATION * widening(prior * SATELLITE_FAULT, budget / max(satellites_in(ranges), 1))
     if sigmas < 0.0:
         return
     place, cov, first = np.empty(3), np.empty((3, 3)), 0
@@ -189,9 +197,10 @@ def guard(
     elif by_codes.solved:
         floating = Place(by_codes.place, by_codes.cov)
     protect(levels, fixed.enu_m, fixed, phases, by_phases, 1.0, 0.5 * setup.risk)
+    hidden = SATELLITE_FAULT * satellites_in(phases) if max(levels[0], levels[1]) > HIDDEN_M else 0.0
     protect(levels, fixed.enu_m, floating, codes, by_codes, wrong, 0.5 * setup.risk)
     residual_test = test_of(by_phases.chi2, float(by_phases.dof))
-    return Guard(wrong, levels[0], levels[1], residual_test, float_test, test_against(fixed, by_codes))
+    return Guard(min(wrong + hidden, 1.0), levels[0], levels[1], residual_test, float_test, test_against(fixed, by_codes))
 
 
 @kernel
