@@ -53,6 +53,7 @@ BENCHMARKS = (
     Benchmark("heading", "heading.py", "How a heading repeats, beside RTKLIB's", ("--quick",)),
     Benchmark("sigmas", "sigmas.py", "Covariances against errors", ("--quick",)),
     Benchmark("slips", "slips.py", "Cycle slips: found, missed, and what these do", ("--quick",), recordings=False),
+    Benchmark("integrity", "integrity.py", "Fix probabilities and protection levels against errors", ("--quick",)),
     Benchmark("endurance", "endurance.py", "A million updates of one filter", ("--quick",), recordings=False),
     Benchmark("decode", "decode_speed.py", "Decoders beside pyubx2 and pyrtcm", modules=("pyubx2", "pyrtcm")),
     Benchmark("engine", "engine_speed.py", "The engine's steps"),

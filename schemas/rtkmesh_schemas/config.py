@@ -114,6 +114,17 @@ class AmbiguityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     hold_after_epochs: Annotated[int, Meta(ge=1, le=100000)] | None = None
 
 
+class IntegrityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[solver.ID.integrity]``: protection levels. ``risk`` per epoch of being off by more than them; larger ones than the alert limits
+    are ``unavailable``.
+    """
+
+    enabled: bool | None = None
+    risk: Annotated[float, Meta(ge=1e-12, le=0.1)] | None = None
+    alert_horizontal_m: Positive | None = None
+    alert_vertical_m: Positive | None = None
+
+
 class SyncTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[solver.ID.sync]``: pairing. ``max_wait_s``: how long a rover epoch waits for its base epoch; ``matched_only``: pos2-syncsol."""
 
@@ -150,6 +161,7 @@ class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     noise: NoiseTable = NoiseTable()
     dynamics: DynamicsTable = DynamicsTable()
     ambiguity: AmbiguityTable = AmbiguityTable()
+    integrity: IntegrityTable = IntegrityTable()
 
 
 class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -12,6 +12,10 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     ``status``: 0 none, 1 fix, 2 float, 4 dgps, 5 single (RTKLIB's Q); ``status_name`` the same in words; ``reason`` says why
     not better. ``age_s``: rover minus base epoch; ``waited_s``: from the epoch's arrival to its solving; ``solve_ms``: compute.
     ``baseline`` is rover minus base. Heights are ellipsoidal. ``received_mono_ns``/``published_mono_ns``: this host's clock.
+
+    ``fix_probability``: that the integers of a fix are right, 0 without a fix. Protection levels are exceeded with the configured risk
+    per epoch under stated assumptions (infinite: nothing bounds the error). ``integrity``: ok, failed, unavailable, with
+    ``integrity_reason``. No certified integrity: docs/concepts/integrity.md.
     """
 
     source: str
@@ -59,6 +63,14 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     solve_ms: float = 0.0
     received_mono_ns: int = 0
     published_mono_ns: int = 0
+    acceleration_cov_ecef_m2ps4: Matrix = (float("nan"),) * 9
+    acceleration_enu_mps2: Vector = (float("nan"), float("nan"), float("nan"))
+    acceleration_cov_enu_m2ps4: Matrix = (float("nan"),) * 9
+    fix_probability: float = 0.0
+    protection_horizontal_m: float = float("nan")
+    protection_vertical_m: float = float("nan")
+    integrity: str = "unavailable"
+    integrity_reason: str = ""
 
 
 class SatellitesMessage(Wire, frozen=True, kw_only=True):

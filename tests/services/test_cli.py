@@ -172,6 +172,15 @@ def test_status_tells_also_the_processes_that_failed(capsys: pytest.CaptureFixtu
     assert "exit code 2: no such satellite" in capsys.readouterr().out
 
 
+def test_status_tells_the_integrity_of_the_newest_solution(capsys: pytest.CaptureFixture[str]):
+    """What a solver says of its solution stands where it has nothing else to say."""
+    for integrity, why, expected in (("ok", "ok", "FIX, integrity ok"), ("failed", "codes", "FIX, integrity failed (codes)")):
+        words = {"solution": "FIX", "integrity": integrity, "integrity_reason": why}
+        data = {"id": "rtk", "role": "solver", "state": "RUNNING", "start_id": "a", "heartbeat": 1, "data": words}
+        show_status([Reply(ok=True, code=Code.OK, id="rtk", data=data)])
+        assert expected in capsys.readouterr().out
+
+
 @pytest.mark.e2e
 def test_the_commands_of_daily_use(site: Any):
     """status, cmd and echo on a running network: text, JSON, exit codes."""

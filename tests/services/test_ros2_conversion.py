@@ -89,4 +89,9 @@ def test_diagnostics_tell_state_and_figures() -> None:
     assert (diagnostic.level, diagnostic.message, diagnostic.name) == (0, "FIX", "rtkmesh/solver: rtk")
     assert dict(diagnostic.values)["ambiguities_fixed"] == "18/20"
     assert diagnostic_of(status, solution(status=5, status_name="SINGLE")).level == WARN
+    failed = diagnostic_of(
+        status, solution(integrity="failed", integrity_reason="codes", fix_probability=0.99, protection_horizontal_m=0.25)
+    )
+    assert (failed.level, failed.message) == (WARN, "FIX, integrity failed: codes")
+    assert dict(failed.values)["protection_horizontal_m"] == "0.250"
     assert diagnostic_of(msgspec.structs.replace(status, state=State.STALE, reason="no observations"), None).level == STALE

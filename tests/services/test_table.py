@@ -93,6 +93,14 @@ def test_board_counts_fixes_and_measures_latency_from_the_last_byte_of_the_epoch
     assert quantiles.p50 == pytest.approx(5.0)
 
 
+def test_integrity_and_protection_levels_have_their_columns() -> None:
+    network = Network()
+    network.publish(SOL, "rtk", solution(integrity="failed", protection_horizontal_m=0.031, protection_vertical_m=math.inf))
+    text = printed(solution_table(network.take().solutions, network.clock.mono_ns()))
+    assert "failed" in text
+    assert "0.031 -" in text
+
+
 def test_bytes_that_are_no_message_are_counted_and_change_nothing() -> None:
     network = Network()
     network.publish(SOL, "rtk", b"\xc1\xff")

@@ -6,24 +6,17 @@ with the quadrant and the covariance term put right: heading = atan2(e, n), sigm
 """
 
 from dataclasses import dataclass
-from enum import StrEnum
 from math import atan2, cos, hypot, inf, nan, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtkmesh.gnss.integrity import Integrity
+
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _STEP_RAD = 1e-6
-
-
-class Integrity(StrEnum):
-    """Whether an attitude may be used."""
-
-    OK = "ok"
-    FAILED = "failed"
-    UNAVAILABLE = "unavailable"
 
 
 @dataclass(frozen=True, slots=True)

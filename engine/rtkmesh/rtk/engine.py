@@ -24,6 +24,7 @@ from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed, systems_of
+from rtkmesh.rtk.integrity import IntegritySetup
 from rtkmesh.rtk.matching import matching_rules
 from rtkmesh.rtk.memory import forget, new_memory, resolve_setup
 from rtkmesh.rtk.noise import new_code_scale
@@ -63,8 +64,13 @@ def _setup_of(options: RtkOptions) -> Setup:
         resolve_setup(ambiguity, options.baseline_length_m if moving_base else None, options.baseline_sigma_m),
         noise.phase_a_m, noise.phase_b_m, noise.code_ratio, noise.ephemeris_m_per_m, options.elevation_mask_rad,
         ambiguity.elevation_mask_rad, float(ambiguity.minimum_lock_epochs), options.dynamics.ambiguity_cyc, options.mode is not Mode.DGPS,
-        ambiguity.mode is not AmbiguityMode.OFF, NO_PATTERNS,
+        ambiguity.mode is not AmbiguityMode.OFF, _integrity_setup(options), NO_PATTERNS,
     )  # fmt: skip
+
+
+def _integrity_setup(options: RtkOptions) -> IntegritySetup:
+    independent = options.ambiguity.mode is not AmbiguityMode.FIX_AND_HOLD
+    return IntegritySetup(options.integrity.enabled, options.integrity.risk, independent)
 
 
 class Rtk:
@@ -255,7 +261,7 @@ class Rtk:
             solved = solve_pair(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, known, self._setup)
         else:
             solved = solve(state.filter, state.informed, self._combined(state, signals, bases, single, channel), known, self._setup)
-        around = Circumstances(age_s, self._moves, self._sense, singles[1], self._resets)
+        around = Circumstances(age_s, self._moves, self._sense, singles[1], self._resets, self.options)
         if solved.status == FEW_COMMON:
             return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         if solved.status == NOT_FINITE:

@@ -26,12 +26,13 @@ SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geo
 SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 
 # What is remembered of one filter from epoch to epoch, in the memory of ``resolve``. SLOPE and SLOPE_SIGMA (m) are those of GLONASS phase
-# biases per channel; LAST_* are numbers of the last free search; truth values are 0.0 and 1.0.
+# biases per channel; LAST_* are numbers of the last free search; UNAGREED counts epochs since one gave what is held (``integrity``); truth
+# values are 0.0 and 1.0.
 (
     STREAK_START_S, STREAK_EPOCHS, DOUBTS, HELD_SINCE_S, CONFIRMED, SHOWN, SINCE_SEARCH, TRUSTS_GLONASS, GLONASS_VOTES, SLOPE, SLOPE_SIGMA,
-    LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED,
-) = range(17)  # fmt: skip
-MEMORY: Final = 17
+    LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED, UNAGREED,
+) = range(18)  # fmt: skip
+MEMORY: Final = 18
 
 
 class ResolveSetup(NamedTuple):

@@ -76,6 +76,22 @@ class AmbiguityOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class IntegrityOptions:
+    """Protection levels and the integrity flag: see docs/concepts/integrity.md."""
+
+    enabled: bool = True
+    risk: float = 1e-5  # per epoch, that the position is off by more than its protection levels
+    alert_horizontal_m: float = 1.0
+    alert_vertical_m: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 1e-12 <= self.risk <= 0.1:
+            raise OptionError(f"integrity risk is {self.risk}, must be 1e-12 to 0.1")
+        if not (self.alert_horizontal_m > 0.0 and self.alert_vertical_m > 0.0):
+            raise OptionError("alert limits must be above 0 m")
+
+
+@dataclass(frozen=True, slots=True)
 class RtkOptions:
     """Everything that a solver instance can be told.
 
@@ -99,6 +115,7 @@ class RtkOptions:
     dynamics: DynamicsOptions = field(default_factory=DynamicsOptions)
     slip: SlipOptions = field(default_factory=SlipOptions)
     ambiguity: AmbiguityOptions = field(default_factory=AmbiguityOptions)
+    integrity: IntegrityOptions = field(default_factory=IntegrityOptions)
 
     def __post_init__(self) -> None:
         if not 1 <= self.frequencies <= 5:

@@ -13,10 +13,11 @@ from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, settle
+from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
-from rtkmesh.rtk.memory import SLOPE, SLOPE_SIGMA, ResolveSetup
+from rtkmesh.rtk.memory import CONFIRMED, SLOPE, SLOPE_SIGMA, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
-from rtkmesh.rtk.report import FIGURES, describe_fit, describe_pairs, describe_resolution
+from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
@@ -65,6 +66,7 @@ class Setup(NamedTuple):
     ambiguity_walk_cyc: float
     phases: bool
     resolving: bool
+    integrity: IntegritySetup
     antennas: Vector
 
 
@@ -165,6 +167,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     resolution = not_resolved()
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
+        confirmed = known.memory[CONFIRMED]
         free = decide(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
         if length_m > INFORMED_FROM_M and not setup.slip.base_moves:
             motion = Motion(known.times_s, expected, model_ecef_m - known.base_ecef_m, known.velocity_mps, known.velocity_cov_m2ps2)
@@ -174,11 +177,16 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         else:
             resolution = fix(f, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
             norm = resolution.norm
+        note_agreement(known.memory, confirmed, time_s)
         if resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE):
             squares = (outcome.phase_chi2 + norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
+    guarded = guard(
+        f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, model_ecef_m - known.base_ecef_m,
+    )  # fmt: skip
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
+    describe_guard(guarded, resolution.odds, figures)
     satellites = describe_pairs(f, d, layout, outcome, resolution.fixed, time_s)
     if not resolution.fixed:
         return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), figures, satellites)

@@ -1,6 +1,6 @@
 """The solution of an epoch, from what the steps of the engine left behind."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -12,7 +12,9 @@ from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.models.code_selection import USED
 from rtkmesh.models.single import Located, SingleStatus
 from rtkmesh.models.single_adjustment import CONVERGED
+from rtkmesh.rtk.integrity import Guard
 from rtkmesh.rtk.matching import count_runs, distinct
+from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.residuals import CN0, ELEVATION_RAD, Differences
 from rtkmesh.rtk.solution import (
     FIXED,
@@ -33,6 +35,7 @@ from rtkmesh.rtk.solution import (
     TABLE,
     USED_CODE,
     USED_PHASE,
+    IntegrityReason,
     Reason,
     SatelliteTable,
     Solution,
@@ -41,6 +44,7 @@ from rtkmesh.rtk.solution import (
 from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, DYNAMIC, INTEGER, SLIPS, Filter
 from rtkmesh.rtk.update import Layout, Update
 from rtkmesh.rtk.validation import Resolution
+from rtkmesh.rtk.verdict import verdict
 
 if TYPE_CHECKING:
     from rtkmesh.rtk.relative import Solved
@@ -61,8 +65,9 @@ _REASONS: Final = {
 # Columns of the row of figures of a relative solution.
 (
     AMBIGUITIES, SATELLITES_USED, PHASES, CODE_RMS_M, PHASE_RMS_M, NIS, REASON, IS_FIXED, RATIO, THRESHOLD, SUCCESS, COUNT_FIXED, GRADE,
-) = range(13)  # fmt: skip
-FIGURES: Final = 13
+    ODDS, WRONG, PROTECTION_H_M, PROTECTION_V_M, RESIDUAL_TEST, FLOAT_TEST, CODE_TEST,
+) = range(20)  # fmt: skip
+FIGURES: Final = 20
 
 
 def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
@@ -81,6 +86,7 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
         satellites_used=int(np.count_nonzero(single.work[:, USED])) if ok else 0,
         satellites_rover=count_runs(rover.satellite),
         satellites_base=0 if base is None else count_runs(base.satellite),
+        integrity_reason=IntegrityReason.NOT_WATCHED if ok else IntegrityReason.NO_SOLUTION,
     )
 
 
@@ -95,6 +101,7 @@ class Circumstances:
     sense: float
     base_single: Located | None
     resets: int
+    options: RtkOptions
 
 
 def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> Solution:
@@ -102,16 +109,18 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
     x, P, numbers = solved.x, solved.P, solved.figures.tolist()
     status = Status.FIX if numbers[IS_FIXED] else (Status.FLOAT if numbers[PHASES] >= 4 else Status.DGPS)
     covariance = P[:3, :3].copy()
-    velocity, velocity_covariance, acceleration = _motion(single, x, P, around)
+    motion = _motion(single, x, P, around)
+    integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
     return Solution(
         time=rover.time,
         status=status,
         reason=Reason(int(numbers[REASON])),
         position_ecef_m=base_ecef_m + x[:3],
         position_cov_ecef_m2=covariance if around.base_single is None else covariance + around.base_single.covariance_m2,
-        velocity_ecef_mps=velocity,
-        velocity_cov_ecef_m2ps2=velocity_covariance,
-        acceleration_ecef_mps2=acceleration,
+        velocity_ecef_mps=motion.velocity_mps,
+        velocity_cov_ecef_m2ps2=motion.velocity_cov_m2ps2,
+        acceleration_ecef_mps2=motion.acceleration_mps2,
+        acceleration_cov_ecef_m2ps4=motion.acceleration_cov_m2ps4,
         base_ecef_m=base_ecef_m.copy(),
         baseline_ecef_m=x[:3].copy(),
         baseline_cov_ecef_m2=covariance,
@@ -130,24 +139,39 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
         code_rms_m=numbers[CODE_RMS_M],
         phase_rms_m=numbers[PHASE_RMS_M],
         nis_per_observation=numbers[NIS],
+        fix_probability=1.0 - numbers[WRONG] if status is Status.FIX else 0.0,
+        protection_horizontal_m=numbers[PROTECTION_H_M],
+        protection_vertical_m=numbers[PROTECTION_V_M],
+        integrity=integrity,
+        integrity_reason=why,
         satellites=SatelliteTable(solved.satellites),
         resets=around.resets,
     )
 
 
-def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tuple[Vector, Matrix, Vector]:
-    """Return velocity (with covariance) and acceleration of the filter; of a moving base its own velocity is added.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Motion:
+    """Velocity and acceleration (ECEF) with their covariances, NaN where not known."""
+
+    velocity_mps: Vector
+    velocity_cov_m2ps2: Matrix
+    acceleration_mps2: Vector = field(default_factory=lambda: np.full(3, nan))
+    acceleration_cov_m2ps4: Matrix = field(default_factory=lambda: np.full((3, 3), nan))
+
+
+def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> _Motion:
+    """Return velocity and acceleration of the filter; of a moving base its own velocity is added, but the acceleration is the baseline's.
 
     Where nothing moves the velocity is the single-point one.
     """
     if not around.moves:
-        return single.velocity_mps[:3], single.velocity_cov_m2ps2, np.full(3, nan)
+        return _Motion(single.velocity_mps[:3], single.velocity_cov_m2ps2)
     velocity, covariance = around.sense * x[3:6], P[3:6, 3:6].copy()
     base = around.base_single
     if base is not None and isfinite(base.velocity_mps[0]):
         velocity += base.velocity_mps[:3]
         covariance += base.velocity_cov_m2ps2
-    return velocity, covariance, x[6:9].copy()
+    return _Motion(velocity, covariance, x[6:9].copy(), P[6:9, 6:9].copy())
 
 
 @kernel
@@ -155,6 +179,13 @@ def describe_resolution(resolution: Resolution, out: Vector) -> None:
     """Write the figures of ambiguity resolution."""
     out[REASON], out[IS_FIXED], out[RATIO], out[THRESHOLD] = resolution.reason, resolution.fixed, resolution.ratio, resolution.threshold
     out[SUCCESS], out[COUNT_FIXED], out[GRADE] = resolution.success, resolution.integers, resolution.grade
+
+
+@kernel
+def describe_guard(guarded: Guard, odds: float, out: Vector) -> None:
+    """Write the figures of integrity."""
+    out[ODDS], out[WRONG], out[PROTECTION_H_M], out[PROTECTION_V_M] = odds, guarded.wrong, guarded.horizontal_m, guarded.vertical_m
+    out[RESIDUAL_TEST], out[FLOAT_TEST], out[CODE_TEST] = guarded.residual_test, guarded.float_test, guarded.code_test
 
 
 @kernel

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
 
 Vector = NDArray[np.float64]
@@ -42,6 +43,20 @@ class Reason(IntEnum):
     FILTER_RESET = 12
     RESIDUALS = 13
     AMBIGUITY_OFF = 14
+
+
+class IntegrityReason(IntEnum):
+    """Why integrity is not OK: not available up to ALERT_LIMIT, a failed test from RESIDUALS on."""
+
+    OK = 0
+    NO_SOLUTION = 1
+    NOT_WATCHED = 2
+    NO_REDUNDANCY = 3
+    ALERT_LIMIT = 4
+    RESIDUALS = 5
+    FLOAT = 6
+    CODES = 7
+    LENGTH = 8
 
 
 # Bits of SatelliteTable.state.
@@ -142,6 +157,10 @@ class Solution:
     ``baseline_ecef_m`` is rover minus base. ``ratio`` is second-best over best squared norm of the integer search (0: none).
     ``single_position_ecef_m`` is this epoch's single-point position. ``grade`` 0 to 3: how many independent validations a fix passed.
     ``waited_s`` is the time between the rover epoch's arrival and its solving on the deadline clock.
+
+    ``fix_probability``: that the integers of a fix are right, as calibrated; 0 without a fix. The protection levels (of a moving base: of
+    the baseline) are exceeded with the configured risk under what docs/concepts/integrity.md assumes; infinite where nothing bounds
+    the error, NaN where nothing was computed. ``integrity`` says whether the tests passed and the levels are inside the alert limits.
     """
 
     time: GpsTime
@@ -152,6 +171,7 @@ class Solution:
     velocity_ecef_mps: Vector = field(default_factory=_nan3)
     velocity_cov_ecef_m2ps2: Matrix = field(default_factory=_nan33)
     acceleration_ecef_mps2: Vector = field(default_factory=_nan3)
+    acceleration_cov_ecef_m2ps4: Matrix = field(default_factory=_nan33)
     base_ecef_m: Vector = field(default_factory=_nan3)
     baseline_ecef_m: Vector = field(default_factory=_nan3)
     baseline_cov_ecef_m2: Matrix = field(default_factory=_nan33)
@@ -172,4 +192,9 @@ class Solution:
     nis_per_observation: float = float("nan")
     resets: int = 0
     waited_s: float = 0.0
+    fix_probability: float = 0.0
+    protection_horizontal_m: float = float("nan")
+    protection_vertical_m: float = float("nan")
+    integrity: Integrity = Integrity.UNAVAILABLE
+    integrity_reason: IntegrityReason = IntegrityReason.NO_SOLUTION
     satellites: SatelliteTable = field(default_factory=no_satellites)

@@ -140,6 +140,8 @@ def _attitude_of(solution: SolutionMessage, mounting: Mounting) -> BaselineAttit
 def _judge(solution: SolutionMessage, attitude: BaselineAttitude | None, mounting: Mounting) -> tuple[Integrity, str]:
     if attitude is None:
         return Integrity.UNAVAILABLE, f"baseline is {solution.status_name}: {solution.reason}"
+    if solution.integrity == Integrity.FAILED.value:
+        return Integrity.FAILED, f"baseline fails its integrity test: {solution.integrity_reason}"
     if length_integrity(attitude, mounting) is Integrity.FAILED:
         return Integrity.FAILED, f"baseline is {attitude.length_m:.3f} m, known length is {mounting.length_m:.3f} m"
     return Integrity.OK, ""

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
@@ -112,11 +113,27 @@ def _table(replies: list[Reply]) -> "Table":
         latencies = ", ".join(f"{name} {row.p50:.1f}/{row.p99:.1f}" for name, row in found.latencies_ms.items())
         inputs = ", ".join(_input(row) for row in found.inputs)
         state = Text(found.state.value, _COLOURS[found.state])
-        table.add_row(found.id, found.role, state, _duration(found.uptime_s), Text(clean(inputs)), latencies, Text(clean(found.reason)))
+        table.add_row(
+            found.id,
+            found.role,
+            state,
+            _duration(found.uptime_s),
+            Text(clean(inputs)),
+            latencies,
+            Text(clean(found.reason or _solution(found.data))),
+        )
     for row in unanswering(replies):
         state = Text(row["state"], _COLOURS.get(row["state"], "yellow"))
         table.add_row(row["id"], row["role"], state, "", "", "", Text(clean(row["reason"])))
     return table
+
+
+def _solution(data: Mapping[str, Any]) -> str:
+    """Return what a solver's status says of its newest solution, empty for other processes."""
+    if "integrity" not in data:
+        return ""
+    why = "" if data["integrity"] == "ok" else f" ({data['integrity_reason']})"
+    return f"{data['solution']}, integrity {data['integrity']}{why}"
 
 
 def _input(row: InputStatus) -> str:

@@ -36,6 +36,7 @@ def rtk_options(table: SolverTable) -> RtkOptions:
         noise=replace(defaults.noise, **_given(table.noise)),
         dynamics=replace(defaults.dynamics, **_given(table.dynamics)),
         ambiguity=replace(defaults.ambiguity, **ambiguity),
+        integrity=replace(defaults.integrity, **_given(table.integrity)),
     )
 
 

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh.gnss.frames import geodetic_from_ecef
 from rtkmesh.gnss.signals import satellite_id, signal_code
+from rtkmesh.rtk.local import in_enu
 from rtkmesh.rtk.solution import Solution
 from rtkmesh_schemas.solution import Matrix, SatellitesMessage, SolutionMessage, Vector
 
@@ -18,7 +19,7 @@ def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
     """Return a solution as the wire's struct; ``identity`` gives source, start_id, sequence, mode, rover, base and clocks."""
     known = bool(np.isfinite(solution.position_ecef_m).all())
     lat_rad, lon_rad, height_m = geodetic_from_ecef(solution.position_ecef_m) if known else (nan, nan, nan)
-    rotation: Array = enu_from_ecef(float(lat_rad), float(lon_rad)) if known else np.full((3, 3), nan)
+    local = in_enu(solution)
     return SolutionMessage(
         week=solution.time.week,
         tow_s=solution.time.tow_s,
@@ -30,16 +31,19 @@ def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
         height_m=float(height_m),
         position_ecef_m=_vector(solution.position_ecef_m),
         position_cov_ecef_m2=_matrix(solution.position_cov_ecef_m2),
-        position_cov_enu_m2=_turned(solution.position_cov_ecef_m2, rotation),
+        position_cov_enu_m2=_matrix(local.position_cov_m2),
         velocity_ecef_mps=_vector(solution.velocity_ecef_mps),
         velocity_cov_ecef_m2ps2=_matrix(solution.velocity_cov_ecef_m2ps2),
-        velocity_enu_mps=_vector(rotation @ solution.velocity_ecef_mps),
-        velocity_cov_enu_m2ps2=_turned(solution.velocity_cov_ecef_m2ps2, rotation),
+        velocity_enu_mps=_vector(local.velocity_mps),
+        velocity_cov_enu_m2ps2=_matrix(local.velocity_cov_m2ps2),
         base_ecef_m=_vector(solution.base_ecef_m),
         baseline_ecef_m=_vector(solution.baseline_ecef_m),
-        baseline_enu_m=_vector(rotation @ solution.baseline_ecef_m),
-        baseline_cov_enu_m2=_turned(solution.baseline_cov_ecef_m2, rotation),
+        baseline_enu_m=_vector(local.baseline_m),
+        baseline_cov_enu_m2=_matrix(local.baseline_cov_m2),
         acceleration_ecef_mps2=_vector(solution.acceleration_ecef_mps2),
+        acceleration_cov_ecef_m2ps4=_matrix(solution.acceleration_cov_ecef_m2ps4),
+        acceleration_enu_mps2=_vector(local.acceleration_mps2),
+        acceleration_cov_enu_m2ps4=_matrix(local.acceleration_cov_m2ps4),
         age_s=float(solution.age_s),
         ratio=float(solution.ratio),
         ratio_threshold=float(solution.ratio_threshold),
@@ -56,6 +60,11 @@ def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
         receiver_clock_s=float(solution.receiver_clock_s),
         resets=int(solution.resets),
         waited_s=float(solution.waited_s),
+        fix_probability=float(solution.fix_probability),
+        protection_horizontal_m=float(solution.protection_horizontal_m),
+        protection_vertical_m=float(solution.protection_vertical_m),
+        integrity=solution.integrity.value,
+        integrity_reason=solution.integrity_reason.name.lower(),
         **identity,
     )
 
@@ -88,7 +97,3 @@ def _vector(values: Array) -> Vector:
 
 def _matrix(values: Array) -> Matrix:
     return tuple(values.ravel().tolist())
-
-
-def _turned(cov: Array, rotation: Array) -> Matrix:
-    return _matrix(rotation @ cov @ rotation.T)

@@ -145,6 +145,8 @@ def diagnostic_of(status: ServiceStatus, solution: SolutionMessage | None) -> Di
         values += _figures(solution)
         message = solution.status_name if level == OK else message
         level = max(level, WARN) if solution.status in (NONE, SINGLE) and solution.mode != "single" else level
+        if solution.integrity == "failed":
+            level, message = max(level, WARN), f"{message}, integrity failed: {solution.integrity_reason}"
     for stream in status.inputs:
         age = nan if stream.age_s is None else stream.age_s
         values.append((f"input {stream.name}", f"{stream.state}, {stream.messages} messages, {stream.lost} lost, age {age:.1f} s"))
@@ -161,6 +163,11 @@ def _figures(solution: SolutionMessage) -> list[tuple[str, str]]:
         ("satellites_base", str(solution.satellites_base)),
         ("ambiguities_fixed", f"{solution.ambiguities_fixed}/{solution.ambiguities}"),
         ("grade", str(solution.grade)),
+        ("fix_probability", f"{solution.fix_probability:.6f}"),
+        ("integrity", solution.integrity),
+        ("integrity_reason", solution.integrity_reason),
+        ("protection_horizontal_m", f"{solution.protection_horizontal_m:.3f}"),
+        ("protection_vertical_m", f"{solution.protection_vertical_m:.3f}"),
         ("waited_s", f"{solution.waited_s:.3f}"),
     ]
 

@@ -61,6 +61,7 @@ class SolverService(Service):
         self._inputs = {name: InputStream(name, source, self._ingest(name).replay) for source, name in self._sources()}
         self._sequence = 0
         self._statuses: Counter[str] = Counter()
+        self._integrities: Counter[str] = Counter()
         self._solve_ms, self._latency_ms, self._waited_ms = RollingQuantiles(), RollingQuantiles(), RollingQuantiles()
         self._received: dict[GpsTime, int] = {}
         self._newest: Solution | None = None
@@ -136,6 +137,7 @@ class SolverService(Service):
             inputs=[stream.status(now_s) for stream in self._inputs.values()],
             counters={
                 **{f"solutions_{name.lower()}": count for name, count in self._statuses.items()},
+                **{f"integrity_{name}": count for name, count in self._integrities.items()},
                 **{name: getattr(counters, name) for name in counters.__slots__},
                 "waiting": len(self._session.pairing),
             },
@@ -146,6 +148,7 @@ class SolverService(Service):
                 "rover": self._table.rover,
                 "base": self._table.base,
                 "end": self._ended(),
+                **({} if newest is None else _newest_words(newest)),
                 "antennas": {**self._session.antennas, "corrected": self._session.corrects_antennas},
             },
         )
@@ -197,6 +200,7 @@ class SolverService(Service):
         solved = self.context.clock.mono_ns()
         self._newest = solution
         self._statuses[solution.status.name] += 1
+        self._integrities[solution.integrity.value] += 1
         self._solve_ms.add(solved, (solved - begun) * 1e-6)
         self._waited_ms.add(solved, solution.waited_s * 1e3)
         received = self._received.pop(pair.rover.time, 0)
@@ -306,6 +310,18 @@ class SolverService(Service):
 
     def _now_s(self) -> float:
         return self.context.clock.mono_ns() * 1e-9
+
+
+def _newest_words(solution: Solution) -> dict[str, Any]:
+    """Return what a status tells of the newest solution."""
+    return {
+        "solution": solution.status.name,
+        "fix_probability": solution.fix_probability,
+        "integrity": solution.integrity.value,
+        "integrity_reason": solution.integrity_reason.name.lower(),
+        "protection_horizontal_m": solution.protection_horizontal_m,
+        "protection_vertical_m": solution.protection_vertical_m,
+    }
 
 
 def replace_streams(table: SolverTable, current: SolverTable) -> SolverTable:
