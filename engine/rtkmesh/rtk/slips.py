@@ -286,6 +286,9 @@ def _judge(d: Differences, k: int, last_base_s: float, heard: bool, changes: Cha
     rover, base = tested.rover, tested.base
     slipped = tested.redundancy != UNTESTED and abs(rover.residual_m[k]) > changes.rover_threshold_m[k]
     slipped = slipped or (tested.base_redundancy != UNTESTED and abs(base.residual_m[k]) > changes.base_threshold_m[k])
+    if changes.rover_dt_s > SLOW_S and tested.redundancy < 1:
+        verdicts.slip[k] = LOST
+        return
     if not slipped and not heard:
         return
     jump, sigma = np.nan, 0.0
@@ -354,7 +357,7 @@ def _judge_return(
         jump_m -= predicted_change_m(d.rover_direction, k, h[AWAY_ROVER : AWAY_ROVER + STEP] + tested.rover.step_m)
         jump_m += predicted_change_m(d.base_direction, k, h[AWAY_BASE : AWAY_BASE + STEP] + tested.base.step_m)
     jump_cyc = jump_m / d.table[k, WAVELENGTH]
-    if kept and not abs(jump_cyc) > threshold_cyc + TOGETHER * DRIFT_MPS * gap_s / d.table[k, WAVELENGTH]:
+    if kept and known and not abs(jump_cyc) > threshold_cyc + TOGETHER * DRIFT_MPS * gap_s / d.table[k, WAVELENGTH]:
         return
     sigma_m = prediction_sigma_m(d.rover_direction, k, tested.rover) if known else np.nan
     _conclude(k, jump_cyc, sigma_m / d.table[k, WAVELENGTH], verdicts)
