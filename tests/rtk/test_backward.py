@@ -112,7 +112,7 @@ def test_old_base_epochs_pair_as_they_did(drive):
 
 
 def test_a_flagged_slip_is_heard_from_both_sides(drive):
-    """All satellites but seven (so many must test each other) slip by some cycles where they are flagged: no run is misled, both stay fixed."""
+    """All satellites but seven (so many must test each other) slip where they are flagged: no run is misled, both stay fixed."""
 
     def slipped(k, epoch):
         many = np.isin(epoch.satellite, np.unique(epoch.satellite)[7:])

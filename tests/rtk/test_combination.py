@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.combination import ANCHORS, EQUAL_M, HINDSIGHT, How, combine_runs
 from rtkmesh.rtk.fusion import Estimate, fuse, misfit
-from rtkmesh.rtk.solution import Reason, Solution, Status
+from rtkmesh.rtk.solution import IntegrityReason, Reason, Solution, Status
 from rtkmesh.rtk.track import ROW, solutions_of, track_of
 
 BASE = np.array((4.0e6, 5.0e5, 4.9e6))
@@ -57,7 +58,8 @@ def test_a_track_keeps_every_field():
     (second,) = solutions_of(track_of([first]).table)
     for name in ROW.names or ():
         if name not in ("week", "tow_s", "arc_s"):
-            assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True), name
+            one, other = getattr(first, name), getattr(second, name)
+            assert one == other if isinstance(one, Integrity) else np.array_equal(one, other, equal_nan=True), name
     assert first.time == second.time
 
 
@@ -124,6 +126,16 @@ def test_a_young_fix_that_nobody_supports_is_refused():
     forward = [solution(k, "fix", grade=1) for k in range(8)]
     backward = [solution(k, "float") for k in range(8)]
     assert set(combine_runs(track_of(forward).table, track_of(backward).table).how.tolist()) == {How.REFUSED}
+
+
+def test_what_is_made_of_both_has_no_levels_and_what_stands_keeps_its_own():
+    """Protection levels and the probability of a fix are those of the run that stands; of a fusion nothing is said."""
+    said = {"fix_probability": 0.999, "protection_horizontal_m": 0.05, "integrity": Integrity.OK, "integrity_reason": IntegrityReason.OK}
+    run = [replace(solution(0, "float"), protection_horizontal_m=3.0), replace(solution(1, "fix"), **said)]
+    made, stood = solutions_of(combine_runs(track_of(run).table, track_of(run).table).table)
+    assert (made.integrity, made.integrity_reason, made.fix_probability) == (Integrity.UNAVAILABLE, IntegrityReason.NOT_WATCHED, 0.0)
+    assert np.isnan(made.protection_horizontal_m)
+    assert {name: getattr(stood, name) for name in said} == said
 
 
 def test_old_float_solutions_become_better_and_young_ones_claim_nothing():

@@ -12,10 +12,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.rtk.fusion import Estimate, fuse, misfit
 from rtkmesh.rtk.noise import IONOSPHERE_PPM
-from rtkmesh.rtk.solution import Reason, Status
-from rtkmesh.rtk.track import Table
+from rtkmesh.rtk.solution import IntegrityReason, Reason, Status
+from rtkmesh.rtk.track import INTEGRITY, Table
 from rtkmesh.rtk.validation import FIX_SIGMA_M, RELEASE_EPOCHS
 
 Mask = NDArray[np.bool_]
@@ -85,6 +86,7 @@ def combine_runs(forward: Table, backward: Table) -> Combined:
         fill(table, how, forward, backward)
     _move(table, forward, backward)
     _demote(table, how, *sides)
+    _leave_unwatched(table, how)
     return Combined(table, how)
 
 
@@ -254,3 +256,11 @@ def _demote(table: Table, how: Indices, forward: Side, backward: Side) -> None:
     own: Any = table["position_cov_ecef_m2"][lonely]
     widened = np.maximum(1.0, UNSURE_M**2 / (np.trace(own, axis1=1, axis2=2) / 3.0))[:, None, None]
     table["position_cov_ecef_m2"][lonely], table["baseline_cov_ecef_m2"][lonely] = own * widened, own * widened
+
+
+def _leave_unwatched(table: Table, how: Indices) -> None:
+    """Say that nothing bounds what was made of both runs, or refused: the levels of one run are not of that."""
+    at = (how == How.NEAR) | (how == How.SMOOTHED) | (how == How.REFUSED)
+    table["fix_probability"][at & (table["status"] != Status.FIX)] = 0.0
+    table["protection_horizontal_m"][at], table["protection_vertical_m"][at] = np.nan, np.nan
+    table["integrity"][at], table["integrity_reason"][at] = INTEGRITY.index(Integrity.UNAVAILABLE), IntegrityReason.NOT_WATCHED
