@@ -7,12 +7,10 @@ from hypothesis import strategies as st
 
 from rtkmesh.rtk import informed
 from rtkmesh.rtk.ambiguity import held_differences
-from rtkmesh.rtk.bookkeeping import Walks
 from rtkmesh.rtk.matching import Pairs
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, DIFFERENCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, ZENITH_KEY, Filter
 
-WALKS = Walks(0.004, 1e-3, 0.07, 5e-5, 0.02, 1e-6, (0.0, 0.03), 20.0)
 PAIR = 262144  # a key of a pair is its satellite times this, and more
 
 
@@ -71,17 +69,31 @@ def test_what_is_told_is_known():
     assert all(f.P[i, i] + f.P[r, r] - 2.0 * f.P[i, r] < 0.0101**2 for i, r in held)
 
 
+def atmosphere(satellites, held):
+    """Return a filter with a zenith delay, an ionosphere per satellite, and two ambiguities of each, held as said."""
+    keys = np.array([ZENITH_KEY, *satellites, *(s * PAIR + b for s in satellites for b in (1, 2))], np.int64)
+    n, history = len(keys), np.full((len(keys), HISTORY), np.nan)
+    history[1 + len(satellites) :, INTEGER] = np.repeat(np.where(held, 5.0, np.nan), 2)
+    return Filter(np.zeros(DYNAMIC + n), np.eye(DYNAMIC + n), keys, history)
+
+
 @given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 def test_what_a_system_shares_is_no_strain(first, second):
-    """A common ionosphere of a system is part of its clocks; a zenith delay of three sigmas is three."""
-    keys = np.array([ZENITH_KEY, 3, 7, 9, 130, 133], np.int64)
-    f = Filter(np.zeros(DYNAMIC + 6), np.eye(DYNAMIC + 6), keys, np.zeros((6, HISTORY)))
-    f.x[DYNAMIC + 1 : DYNAMIC + 4], f.x[DYNAMIC + 4 :] = first, second
-    assert informed.strain(f, WALKS) == pytest.approx(0.0, abs=1e-9)
+    """A common ionosphere of a system is part of its clocks; one of 16 cm in the zenith is a strain of ten."""
+    f = atmosphere([3, 7, 9, 130, 133], [True] * 5)
+    f.x[DYNAMIC + 1 : DYNAMIC + 4], f.x[DYNAMIC + 4 : DYNAMIC + 6] = first, second
+    assert informed.strain(f, 30e3) == pytest.approx(0.0, abs=1e-9)
     f.x[DYNAMIC + 1] += 0.3
-    assert informed.strain(f, WALKS) == pytest.approx(0.3 * np.sqrt(2.0 / 3.0 / 5.0) / 0.07, rel=1e-6)
-    f.x[DYNAMIC] = -0.06
-    assert informed.strain(f, WALKS) == pytest.approx(3.0)
+    assert informed.strain(f, 30e3) == pytest.approx(0.3 * np.sqrt(2.0 / 3.0 / 5.0) / 0.0305, rel=1e-6)
+    f.x[DYNAMIC] = -0.16
+    assert informed.strain(f, 30e3) == pytest.approx(10.0)
+
+
+def test_only_satellites_with_integers_strain():
+    """An ionosphere that is known by codes and float ambiguities says nothing of integers."""
+    f = atmosphere([3, 7, 9], [True, True, False])
+    f.x[DYNAMIC + 3] = 1.0
+    assert informed.strain(f, 30e3) == 0.0
 
 
 def test_integers_are_adopted_by_key():

@@ -18,7 +18,7 @@ from rtkmesh.rtk.ambiguity import Candidates, Search, add_constraints, held_diff
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.filter import OK, posterior
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
-from rtkmesh.rtk.noise import IONOSPHERE_PPM, ZENITH_SIGMA_M
+from rtkmesh.rtk.noise import IONOSPHERE_PPM
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, SLOPE_KEY, ZENITH_KEY, Filter, place_of
@@ -31,7 +31,11 @@ Indices = NDArray[np.int64]
 
 INFORMED_FROM_M: Final = 10e3  # nearer, what the atmosphere leaves is below the phases' multipath
 NORM_LIMIT: Final = 3.0  # squared norm per integer that is told
-STRAIN_LIMIT: Final = 3.0  # sigmas that the atmosphere may differ by: nl_35km stays below 2, wrong integers there went to 5
+# What an atmosphere may differ by over a baseline, as strain 1: the zenith delay; the slant ionospheres of satellites with held integers,
+# per metre of length and at the base. On nl_35km, forward and backward, right integers ask for 0.3 ppm (90 %: 0.6), wrong ones for 1.6.
+_ZENITH_M: Final = 0.016
+_IONOSPHERES: Final = (0.75e-6, 0.008)
+STRAIN_SURE: Final = 0.6  # below it the integers are safe from the witness's doubts
 _GLONASS_CODE_M: Final = 10.0  # its codes are shifted by channel between makes, which an ionosphere would take for its own
 _TOLD_CYC2: Final = 0.01**2  # variance of an integer that is told
 _START_M: Final = 0.5  # sigma of each coordinate that a new filter adds to the witness's, which does not know of the atmosphere
@@ -60,12 +64,12 @@ class Use(NamedTuple):
 
 
 class Informed(NamedTuple):
-    """The filter after an epoch, its candidates and those that are held; ``agrees``: neither they nor the atmosphere are strained."""
+    """The filter after an epoch, its candidates, those that are held, and how these strain the atmosphere (above 1: too far)."""
 
     filter: Filter
     candidates: Candidates
     held: Indices
-    agrees: bool
+    strain: float
 
 
 class Settled(NamedTuple):
@@ -91,8 +95,8 @@ def settle(
     norm, told = norm_of(witness, held, held_differences(witness, held)), inform(informed, witness, d, motion, use)
     if len(told.held) < 4:
         return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s), told.filter, norm)
-    memory[INFORMED] = memory[INFORMED] + 1.0 if told.agrees else 0.0
-    if not told.agrees:
+    memory[INFORMED] = memory[INFORMED] + 1.0 if told.strain <= STRAIN_SURE else 0.0
+    if told.strain > 1.0:
         note(witness, True, memory, prediction)
     return Settled(fix(told.filter, told.candidates, free, memory, setup, prediction, time_s), told.filter, norm)
 
@@ -151,35 +155,52 @@ def inform(before: Filter, witness: Filter, d: Differences, motion: Motion, use:
     outcome = update(f, sharp, layout, use.scale, motion.velocity_mps, motion.velocity_cov_m2ps2)
     candidates = find_candidates(f, sharp, layout, outcome.phase_used, use.mask_rad, use.least_epochs)
     if not outcome.ok or not is_finite(f.x, f.P):
-        return Informed(_nothing(witness), candidates, np.zeros((0, 2), np.int64), False)
+        return Informed(_nothing(witness), candidates, np.zeros((0, 2), np.int64), np.inf)
     remember(f, sharp, layout, outcome.phase_used, motion.times_s[0])
     adopt(f, witness)
     held = pairs_of(take(candidates, is_held(f, candidates)))
     norm = norm_of(f, held, held_differences(f, held))
     tell(f, held)
-    return Informed(f, candidates, held, norm <= NORM_LIMIT * len(held) and strain(f, use.walks) <= STRAIN_LIMIT)
+    return Informed(f, candidates, held, strain(f, length_m) if norm <= NORM_LIMIT * len(held) else np.inf)
 
 
 @kernel
-def strain(f: Filter, walks: Walks) -> float:
-    """Return the larger of: the zenith delay in its sigmas, the spread of the ionospheres (in each system) in theirs.
+def strain(f: Filter, length_m: float) -> float:
+    """Return how far the atmosphere is from none, over what may be: the zenith delay, or the spread of the ionospheres (in each system)
+    of satellites that have integers on two bands.
 
     What all of a system share is not known: it is part of the clocks.
     """
     total, count, zenith, sums, members = 0.0, 0, 0.0, np.zeros(len(SYSTEMS)), np.zeros(len(SYSTEMS))
+    sure = _held_on_two_bands(f)
     for k in range(len(f.keys)):
-        key = f.keys[k]
-        if key == ZENITH_KEY:
-            zenith = abs(f.x[DYNAMIC + k]) / ZENITH_SIGMA_M
-        elif key < FIRST_PAIR_KEY and key != SLOPE_KEY:
-            sums[key // 64] += f.x[DYNAMIC + k]
-            members[key // 64] += 1.0
+        if f.keys[k] == ZENITH_KEY:
+            zenith = abs(f.x[DYNAMIC + k]) / _ZENITH_M
+        elif sure[k]:
+            sums[f.keys[k] // 64] += f.x[DYNAMIC + k]
+            members[f.keys[k] // 64] += 1.0
     for k in range(len(f.keys)):
-        key = f.keys[k]
-        if ZENITH_KEY < key < FIRST_PAIR_KEY and key != SLOPE_KEY:
-            total += ((f.x[DYNAMIC + k] - sums[key // 64] / members[key // 64]) / walks.ionosphere_sigma_m) ** 2
+        if sure[k]:
+            system = f.keys[k] // 64
+            total += (f.x[DYNAMIC + k] - sums[system] / members[system]) ** 2
             count += 1
-    return max(zenith, sqrt(total / count)) if count > 0 else zenith
+    may_m = _IONOSPHERES[0] * length_m + _IONOSPHERES[1]
+    return max(zenith, sqrt(total / count) / may_m) if count > 0 else zenith
+
+
+@kernel
+def _held_on_two_bands(f: Filter) -> NDArray[np.bool_]:
+    """Return which keys are ionospheres of satellites with two held integers."""
+    out = np.zeros(len(f.keys), np.bool_)
+    for k in range(len(out)):
+        if not ZENITH_KEY < f.keys[k] < FIRST_PAIR_KEY or f.keys[k] == SLOPE_KEY:
+            continue
+        count = 0
+        for j in range(len(out)):
+            mine = f.keys[j] >= FIRST_PAIR_KEY and f.keys[j] // 262144 == f.keys[k]
+            count += 1 if mine and np.isfinite(f.history[j, INTEGER]) else 0
+        out[k] = count >= 2
+    return out
 
 
 @kernel

@@ -12,10 +12,10 @@ from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
-from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, settle
+from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, begin_informed, settle
 from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
-from rtkmesh.rtk.memory import CONFIRMED, SLOPE, SLOPE_SIGMA, ResolveSetup
+from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE, SLOPE_SIGMA, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
@@ -177,6 +177,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         else:
             resolution = fix(f, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
             norm = resolution.norm
+            if len(informed.keys) > 0:  # the rover has come near
+                informed, known.memory[INFORMED] = begin_informed(f), 0.0
         note_agreement(known.memory, confirmed, time_s)
         if resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE):
             squares = (outcome.phase_chi2 + norm) * phase_factor(known.scale)
