@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtkmesh.rtk import informed
-from rtkmesh.rtk.ambiguity import held_differences
+from rtkmesh.rtk.ambiguity import held_differences, tell
 from rtkmesh.rtk.matching import Pairs
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, DIFFERENCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, ZENITH_KEY, Filter
@@ -63,7 +63,7 @@ def test_what_is_told_is_known():
     """The differences of ambiguities are the integers within the variance of telling; the filter stays positive definite."""
     f = told_filter(np.array([4.0, -7.0, 11.0, 2.0, 5.0]))
     held = np.array([[DYNAMIC + k, DYNAMIC] for k in range(1, 5)])
-    informed.tell(f, held)
+    tell(f, held, held_differences(f, held), 0.01**2)
     assert [f.x[i] - f.x[r] for i, r in held] == pytest.approx(held_differences(f, held), abs=0.01)
     assert np.linalg.eigvalsh(f.P).min() > 0.0
     assert all(f.P[i, i] + f.P[r, r] - 2.0 * f.P[i, r] < 0.0101**2 for i, r in held)

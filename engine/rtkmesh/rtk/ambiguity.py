@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.rtk.filter import factor
+from rtkmesh.rtk.filter import factor, posterior
 from rtkmesh.rtk.lambda_search import OK, bootstrap_success, integer_least_squares
 from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
 
@@ -290,6 +290,19 @@ def add_constraints(pairs: Indices, x: Vector, integers: Vector, variance: float
         N[r, i] -= w
         b[i] += w * y
         b[r] -= w * y
+
+
+@kernel
+def tell(f: Filter, pairs: Indices, integers: Vector, variance: float) -> None:
+    """Tell the filter of the integers of double differences, as observations of this variance (cycles squared)."""
+    n = len(f.x)
+    N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
+    add_constraints(pairs, f.x, integers, variance, N, b)
+    if posterior(f.P, N, b, P, dx) != 0:
+        return
+    for i in range(n):
+        f.x[i] += dx[i]
+        f.P[i, :] = P[i]
 
 
 @kernel

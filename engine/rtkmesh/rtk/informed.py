@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import GLONASS, SYSTEMS
-from rtkmesh.rtk.ambiguity import Candidates, Search, add_constraints, held_differences, pairs_of, take
+from rtkmesh.rtk.ambiguity import Candidates, Search, held_differences, pairs_of, take, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
-from rtkmesh.rtk.filter import OK, posterior
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
 from rtkmesh.rtk.noise import IONOSPHERE_PPM
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
@@ -160,7 +159,7 @@ def inform(before: Filter, witness: Filter, d: Differences, motion: Motion, use:
     adopt(f, witness)
     held = pairs_of(take(candidates, is_held(f, candidates)))
     norm = norm_of(f, held, held_differences(f, held))
-    tell(f, held)
+    tell(f, held, held_differences(f, held), _TOLD_CYC2)
     return Informed(f, candidates, held, strain(f, length_m) if norm <= NORM_LIMIT * len(held) else np.inf)
 
 
@@ -201,15 +200,3 @@ def _held_on_two_bands(f: Filter) -> NDArray[np.bool_]:
             count += 1 if mine and np.isfinite(f.history[j, INTEGER]) else 0
         out[k] = count >= 2
     return out
-
-
-@kernel
-def tell(f: Filter, held: NDArray[np.int64]) -> None:
-    """Tell the filter of integers."""
-    n = len(f.x)
-    N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
-    add_constraints(held, f.x, held_differences(f, held), _TOLD_CYC2, N, b)
-    if posterior(f.P, N, b, P, dx) == OK:
-        for i in range(n):
-            f.x[i] += dx[i]
-            f.P[i, :] = P[i]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.memory import CONFIRMED, HELD_SINCE_S, INFORMED, UNAGREED
 from rtkmesh.rtk.noise import code_factors, phase_factor
 from rtkmesh.rtk.residuals import Differences
@@ -134,19 +135,10 @@ def widen(levels: Vector, judged: Vector, place: Vector, cov: Matrix, sigmas: fl
 
 
 @kernel
-def satellites_in(ranges: Ranges) -> int:
-    """Return how many satellites there are."""
-    count = 0
-    for k in range(len(ranges.weight)):
-        count += 1 if k == 0 or ranges.satellite[k] != ranges.satellite[k - 1] else 0
-    return count
-
-
-@kernel
 def widen_by_satellites(levels: Vector, judged: Vector, ranges: Ranges, whole: Epochwise, prior: float, budget: float) -> None:
     """Raise the levels to what the solutions without each satellite allow, each at its part of ``budget``."""
     n = len(ranges.weight)
-    sigmas = INFLATION * widening(prior * SATELLITE_FAULT, budget / max(satellites_in(ranges), 1))
+    sigmas = INFLATION * widening(prior * SATELLITE_FAULT, budget / max(count_runs(ranges.satellite), 1))
     if sigmas < 0.0:
         return
     place, cov, first = np.empty(3), np.empty((3, 3)), 0
@@ -199,7 +191,7 @@ def guard(
     elif by_codes.solved:
         floating = Place(by_codes.place, by_codes.cov)
     protect(levels, fixed.enu_m, fixed, phases, by_phases, 1.0, 0.5 * setup.risk)
-    hidden = SATELLITE_FAULT * satellites_in(phases) if max(levels[0], levels[1]) > HIDDEN_M else 0.0
+    hidden = SATELLITE_FAULT * count_runs(phases.satellite) if max(levels[0], levels[1]) > HIDDEN_M else 0.0
     protect(levels, fixed.enu_m, floating, codes, by_codes, wrong, 0.5 * setup.risk)
     residual_test = test_of(by_phases.chi2, float(by_phases.dof))
     return Guard(min(wrong + hidden, 1.0), levels[0], levels[1], residual_test, float_test, test_against(fixed, by_codes))

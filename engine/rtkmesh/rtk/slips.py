@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.rtk.matching import distinct
 from rtkmesh.rtk.residuals import BASE_PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import (
     AWAY_BASE,
@@ -248,22 +249,12 @@ def _electorate(satellite: NDArray[np.int16], change_m: Vector, doubt: Indices, 
     if not np.any(doubt):
         return tested
     sure, unshown = tested & (doubt == 0), tested & (doubt != _SHOWN)
-    few = (1.0 - _MANY) * _satellites(satellite, unshown)
-    if unknowns + REPAIR_REDUNDANCY <= _satellites(satellite, sure) < few:
+    few = (1.0 - _MANY) * distinct(satellite, unshown)
+    if unknowns + REPAIR_REDUNDANCY <= distinct(satellite, sure) < few:
         return sure
-    if _satellites(satellite, unshown) >= unknowns:
+    if distinct(satellite, unshown) >= unknowns:
         return unshown
     return np.isfinite(change_m)
-
-
-@kernel
-def _satellites(ordered: NDArray[np.int16], mask: Flags) -> int:
-    count, last = 0, -1
-    for k in range(len(ordered)):
-        if mask[k] and ordered[k] != last:
-            last = ordered[k]
-            count += 1
-    return count
 
 
 @kernel

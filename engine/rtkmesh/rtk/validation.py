@@ -18,15 +18,14 @@ from rtkmesh.rtk.ambiguity import (
     PRIOR_DOF,
     Candidates,
     Search,
-    add_constraints,
     compare_integers,
     condition,
     held_differences,
     log_odds,
     pairs_of,
     take,
+    tell,
 )
-from rtkmesh.rtk.filter import OK, posterior
 from rtkmesh.rtk.joining import join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -262,13 +261,7 @@ def _tell(f: Filter, pairs: Indices, integers: Vector, memory: Vector, setup: Re
     """In fix-and-hold, tell the filter of integers that have proven themselves (softly, so that it can still object)."""
     if setup.hold_after < 0 or grade < 3 or memory[CONFIRMED] < setup.hold_after:
         return
-    n = len(f.x)
-    N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
-    add_constraints(pairs, f.x, integers, setup.hold_variance_cyc2, N, b)
-    if posterior(f.P, N, b, P, dx) == OK:
-        for i in range(n):
-            f.x[i] += dx[i]
-            f.P[i, :] = P[i]
+    tell(f, pairs, integers, setup.hold_variance_cyc2)
 
 
 @kernel
