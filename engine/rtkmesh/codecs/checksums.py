@@ -10,6 +10,7 @@ from rtkmesh._jit import kernel
 Bytes = bytes | NDArray[np.uint8]
 
 CRC24Q_POLYNOMIAL: Final = 0x1864CFB  # RTCM 10403.3 4.2, Galileo OS SIS ICD 2.1 5.1.9.4
+CRC16_POLYNOMIAL: Final = 0x1021  # CCITT, initial value 0: mosaic-X5 reference guide 4.14, 4.1.1
 
 
 _STRIDE: Final = 8  # bytes that the CRC takes at once
@@ -68,3 +69,31 @@ def fletcher16_range(data: Bytes, start: int, end: int) -> int:
 def fletcher16(data: Bytes) -> int:
     """Return the UBX checksum (CK_A + 256 CK_B) of all bytes (class to end of payload)."""
     return int(fletcher16_range(data, 0, len(data)))
+
+
+def _crc16_table() -> NDArray[np.int64]:
+    """Return the CRC-16 of a byte."""
+    table = np.zeros(256, np.int64)
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1) & 0xFFFF ^ (CRC16_POLYNOMIAL if crc & 0x8000 else 0)
+        table[byte] = crc
+    return table
+
+
+CRC16 = _crc16_table()
+
+
+@kernel
+def crc16_range(data: Bytes, start: int, end: int) -> int:
+    """Return the CRC-16 (CCITT, initial value 0) of ``data[start:end]``."""
+    part, crc = data[start:end], 0
+    for i in range(len(part)):
+        crc = ((crc << 8) & 0xFFFF) ^ int(CRC16[(crc >> 8) ^ int(part[i])])
+    return crc
+
+
+def crc16(data: Bytes) -> int:
+    """Return the CRC-16 (CCITT, initial value 0) of all bytes."""
+    return int(crc16_range(data, 0, len(data)))

@@ -31,9 +31,14 @@ from rtkmesh.codecs.navigation_words import (
     LNAV_MESSAGE,
     NO_CLOCK,
     OWN_CLOCK,
+    QUIET,
+    REFUSALS,
+    Refusal,
+    Words,
     block_of,
     new_satellites,
     set_is_whole,
+    take_block,
 )  # fmt: skip
 from rtkmesh.codecs.subframes import D1, D2_EPHEMERIS, D2_PAGE_BITS, GLONASS_STRING, GLONASS_TB_UNIT_S, INAV, LNAV
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
@@ -91,6 +96,13 @@ class NavigationDecoder:
             self.satellites[satellite]["settled"] = 0
             found += self._publish(satellite, message)
         return found
+
+    def take(self, satellite: int, message: int, words: Words, channel: int = 0, frame: int = 0) -> list[NavigationData] | Refusal:
+        """Take one block (see ``navigation_words``); return what comes of it, or why it is refused."""
+        result = take_block(self.satellites, satellite, message, words, channel, frame, *self.now)
+        if result >= 0:
+            return self.look(satellite, message, result)
+        return [] if result == QUIET else REFUSALS[result]
 
     def look(self, satellite: int, message: int, index: int) -> list[NavigationData]:
         """Return what comes of the block with this index that a kernel says is to be looked at."""
