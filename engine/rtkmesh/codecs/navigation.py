@@ -66,10 +66,11 @@ class NavigationDecoder:
     """Turns the navigation blocks of one stream into ephemerides and ionosphere parameters.
 
     The kernels of ``navigation_words`` take a block into ``satellites``, with the time that ``now`` says (what is known of it, week, time
-    of week in s); ``look`` makes of it what can be made.
+    of week in s); ``look`` makes of it what can be made. With ``repeats`` a set that says nothing new is published as well.
     """
 
-    def __init__(self, approximate_time: GpsTime | None = None) -> None:
+    def __init__(self, approximate_time: GpsTime | None = None, *, repeats: bool = False) -> None:
+        self._repeats = repeats
         self.satellites = new_satellites(MAX_SATELLITE)
         self.now = (NO_CLOCK, 0, 0.0)
         self._time: GpsTime | None = None
@@ -168,6 +169,9 @@ class NavigationDecoder:
 
     def _settle(self, satellite: int, ephemeris: Ephemeris | None) -> list[NavigationData]:
         """Publish an ephemeris unless it is none, or differs from the last one at most in its time of transmission."""
+        if self._repeats:  # the next one is one of new blocks
+            self.satellites[satellite]["held"] = 0
+            return [] if ephemeris is None else [ephemeris]
         self.satellites[satellite]["settled"] = 1
         last = self._published.get(satellite)
         if ephemeris is None or (last is not None and _says_the_same(ephemeris, last)):

@@ -5,7 +5,7 @@ satellites that it sees and uses.
 """
 
 from collections.abc import Callable
-from math import cos, hypot, nan, radians, sin
+from math import cos, hypot, nan, pi, radians, sin
 from typing import Final
 
 from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
@@ -14,7 +14,7 @@ from rtkmesh.codecs.nmea_satellites import SatelliteGatherer
 from rtkmesh.codecs.utc import from_utc, gps_day, microseconds
 from rtkmesh.gnss.constants import SECONDS_PER_DAY
 from rtkmesh.gnss.ephemeris import ReceiverFix
-from rtkmesh.gnss.receiver import ReceiverHeading, wrapped_heading_rad
+from rtkmesh.gnss.receiver import ReceiverHeading
 from rtkmesh.gnss.time import GpsTime
 
 _FIX_OF_QUALITY: Final = {1: 3, 2: 4, 3: 3, 4: 6, 5: 5, 6: 1}
@@ -113,7 +113,7 @@ class NmeaDecoder:
         value = number(sent)
         if sent and (value is None or not -360.0 <= value <= 360.0):
             return False
-        heading_rad = wrapped_heading_rad(nan if value is None else radians(value))
+        heading_rad = nan if value is None else radians(value) % (2.0 * pi)
         return ReceiverHeading(self._now(), source, None, of_baseline=False, heading_rad=heading_rad)
 
     def _gsv(self, talker: str, fields: list[str]) -> Message | bool | None:

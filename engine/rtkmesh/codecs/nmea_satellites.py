@@ -44,7 +44,7 @@ class SatelliteGatherer:
         self._last_gsa: tuple[str, str] | None = None
         self._time: GpsTime | None = None
 
-    def gsv(self, talker: str, fields: list[str], time: GpsTime | None) -> SatellitesInView | None | bool:
+    def gsv(self, talker: str, fields: list[str], time: GpsTime | None) -> SatellitesInView | bool | None:
         """Take a GSV; return the cycle that ended with it, None, or False if the sentence is none."""
         self._last_gsa = None
         if len(fields) < 4 or not (fields[1].isdecimal() and fields[2].isdecimal() and 1 <= int(fields[2]) <= int(fields[1])):
@@ -80,10 +80,11 @@ class SatelliteGatherer:
         satellite = satellite_of(talker, fields[0])
         if satellite is None or len(self._satellites) >= _MAX_SATELLITES:
             return
-        elevation, azimuth, cn0 = (number(text) for text in fields[1:])
+        cn0 = number(fields[3])
+        elevation_rad, azimuth_rad = (nan if (angle := number(text)) is None else radians(angle) for text in fields[1:3])
         new = SatelliteInView(
-            satellite, nan if cn0 is None else cn0, nan if elevation is None else radians(elevation), nan if azimuth is None else radians(azimuth),
-            nan, _SEARCHING if cn0 is None else _ACQUIRED, used=False, healthy=None, corrected=False,
+            satellite, nan if cn0 is None else cn0, elevation_rad, azimuth_rad, nan, _SEARCHING if cn0 is None else _ACQUIRED,
+            used=False, healthy=None, corrected=False,
         )  # fmt: skip
         known = self._satellites.get(satellite)
         if known is None or not new.cn0_dbhz <= known.cn0_dbhz:
@@ -91,7 +92,7 @@ class SatelliteGatherer:
 
     def _finish(self) -> SatellitesInView:
         """Return the cycle and begin anew."""
-        used: set[int] = set().union(*self._used.values())
+        used = set[int]().union(*self._used.values())
         found = tuple(
             replace(one, used=True, quality=_CODE) if number in used else one for number, one in sorted(self._satellites.items())
         )  # fmt: skip

@@ -33,14 +33,14 @@ class SbfDecoder:
     """Decodes the SBF blocks of one receiver; it remembers lock times and navigation blocks.
 
     ``antenna``: 0 main, 1 and 2 the auxiliary ones of a receiver with several, whose measurements come in the same block. In a stream
-    with MeasExtra an epoch waits for it, until another block comes.
+    with MeasExtra an epoch waits for it, until another block comes. ``repeats``: see NavigationDecoder.
     """
 
-    def __init__(self, approximate_time: GpsTime | None = None, antenna: int = 0) -> None:
+    def __init__(self, approximate_time: GpsTime | None = None, antenna: int = 0, *, repeats: bool = False) -> None:
         self.counters = DecodingCounters()
         self.clock_resets = 0
         self._antenna = antenna
-        self._navigation = NavigationDecoder(approximate_time)
+        self._navigation = NavigationDecoder(approximate_time, repeats=repeats)
         self._slip_state = new_slip_state()
         self._jumps: int | None = None
         self._held: tuple[Epoch, NDArray[np.int64]] | None = None  # an epoch that waits, and what its rows are called there
@@ -65,7 +65,7 @@ class SbfDecoder:
 
     def flush(self) -> list[Message]:
         """Return the epoch that still waits for its MeasExtra, and the heading that waits for its sigmas."""
-        return self._flush_epoch() + [*self._attitude.flush()]
+        return [*self._flush_epoch(), *self._attitude.flush()]
 
     def _flush_epoch(self) -> list[Message]:
         if self._held is None:

@@ -209,8 +209,8 @@ def encode_pvt(fix: ReceiverFix, *, fixed_location: bool = False) -> bytes:
     course = degrees(atan2(east, north)) % 360.0 if fix.velocity_ned_mps else _DO_NOT_USE
     accuracies = (min(round(sigma * 200.0), 65534) if sigma == sigma else 65535 for sigma in (fix.horizontal_sigma_m, fix.vertical_sigma_m))
     fields = _PVT.pack(
-        kind | (0x80 if fix.fix == 2 else 0), 0 if kind else 1, *_sent(fix.lat_rad, fix.lon_rad, fix.height_m), _DO_NOT_USE, north, east, -down,
-        course, _DO_NOT_USE, _DO_NOT_USE, 0, 0, fix.satellites, 0, 0, 65535, 0, 0, 0, 0, 0, *accuracies, 1 << 6,
+        kind | (0x80 if fix.fix == 2 else 0), 0 if kind else 1, *_sent(fix.lat_rad, fix.lon_rad, fix.height_m), _DO_NOT_USE,
+        north, east, -down, course, _DO_NOT_USE, _DO_NOT_USE, 0, 0, fix.satellites, 0, 0, 65535, 0, 0, 0, 0, 0, *accuracies, 1 << 6,
     )  # fmt: skip
     return block(PVT_GEODETIC, fix.time, fields, 2)
 
@@ -229,9 +229,8 @@ def encode_setup(station: ReferenceStation, time: GpsTime) -> bytes:
 def encode_attitude(heading: ReceiverHeading) -> bytes:
     """Return AttEuler, AttCovEuler, AuxAntPositions (where the baseline is known) and EndOfAtt of a heading."""
     solved = heading.solution in (CarrierSolution.FLOAT, CarrierSolution.FIXED)
-    mode = (0 if not solved else 1 if heading.solution is CarrierSolution.FLOAT else 2) + (
-        2 if solved and not isnan(heading.roll_rad) else 0
-    )
+    mode = {CarrierSolution.FLOAT: 1, CarrierSolution.FIXED: 2}.get(heading.solution or CarrierSolution.NONE, 0)
+    mode += 2 if solved and not isnan(heading.roll_rad) else 0
     angles = _sent(*(degrees(angle) for angle in (heading.heading_rad, heading.pitch_rad, heading.roll_rad)))
     sigmas = (heading.heading_sigma_rad, heading.pitch_sigma_rad, heading.roll_sigma_rad)
     variances = _sent(*(degrees(sigma) ** 2 for sigma in sigmas))

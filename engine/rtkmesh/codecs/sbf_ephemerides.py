@@ -66,7 +66,8 @@ _GALILEO: Final = _Block(
 )
 _GLONASS: Final = _Block(
     "svid:B channel:B position_x:d position_y:d position_z:d velocity_x:f velocity_y:f velocity_z:f acceleration_x:f acceleration_y:f "
-    "acceleration_z:f gamma:f tau_s:f delta_tau_s:f toe_s:I toe_week:H p1:B p2:B age_days:B health:B tb_min:H m:B p:B ln:B p4:B nt:H ft_cm:H"
+    "acceleration_z:f gamma:f tau_s:f delta_tau_s:f toe_s:I toe_week:H p1:B p2:B age_days:B health:B tb_min:H m:B p:B ln:B p4:B "
+    "nt:H ft_cm:H"
 )
 _ION: Final = _Block("svid:B r1:B alpha0:f alpha1:f alpha2:f alpha3:f beta0:f beta1:f beta2:f beta3:f")
 

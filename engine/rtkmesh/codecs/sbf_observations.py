@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.codecs.lock_slips import SLIP_STATE, lock_slip
 from rtkmesh.codecs.observation_rows import ROW_MASK, SATELLITE_SHIFT, SIGNAL_MASK, SIGNAL_SHIFT, sort_keys
 from rtkmesh.codecs.sbf_signals import (
     E6B,
@@ -45,7 +46,6 @@ _LONG_SIGNAL = 31  # the number of the signal stands in ObsInfo, minus 32
 _MAX_LOCK1_S, _MAX_LOCK2_S = 65534.0, 254.0  # lock times count no further
 _NO_LOCK1, _NO_LOCK2, _NO_CN0, _NO_VARIANCE = 65535, 255, 255, 65535
 _NO_DOPPLER = -(1 << 31)
-_LOCK_STEP_S = 1.1  # lock times are whole seconds
 
 
 @kernel
@@ -92,7 +92,7 @@ def cn0_of(code: int, number: int) -> float:
     """Return C/N0 (dB-Hz)."""
     if code == _NO_CN0:
         return np.nan
-    return code * 0.25 + (0.0 if number == GPS_L1P or number == GPS_L2P else 10.0)
+    return code * 0.25 + (0.0 if number in (GPS_L1P, GPS_L2P) else 10.0)
 
 
 @kernel
@@ -156,25 +156,21 @@ def read_signals(data: bytes, end: int, rows: Rows) -> int:
 
 
 @kernel
-def lock_slip(state: NDArray[np.float64], lock_s: float, limit_s: float, valid: bool, time_s: float) -> bool:
-    """Return whether the phase slipped since this signal's last valid phase, and remember this epoch.
+def slipped_since(state: NDArray[np.float64], lock_s: float, limit_s: float, valid: bool, time_s: float) -> bool:
+    """Return whether the phase slipped since this signal's last valid phase (see ``lock_slip``); without a lock time nobody can tell.
 
-    ``state``: time of the last epoch (s, 0: none), its lock time (s), whether a slip waits to be told. The lock time fell, is shorter than
-    the time since then, or is zero: then nobody can tell. It counts only to ``limit_s``, which is less for signals that come second.
+    Lock times are whole seconds, rounded down, and count only to ``limit_s``, which is less for signals that come second.
     """
     if np.isnan(lock_s):
         return False
-    slipped = lock_s == 0.0
-    if state[0] > 0.0:
-        too_short = lock_s < limit_s and lock_s + _LOCK_STEP_S < time_s - state[0]
-        slipped = slipped or lock_s < min(state[1], limit_s) or too_short or state[2] > 0.0
-    state[0], state[1], state[2] = time_s, lock_s, 1.0 if slipped and not valid else 0.0
-    return slipped
+    limit_ms = (limit_s + 1.0) * 1e3
+    state[1] = min(state[1], limit_ms)
+    return lock_slip(state, (lock_s + 1.0) * 1e3 if lock_s > 0.0 else 0.0, limit_ms, 0, valid, time_s)
 
 
 def new_slip_state() -> NDArray[np.float64]:
-    """Return what ``lock_slip`` remembers, by satellite and Septentrio's signal: nothing yet."""
-    return np.zeros((MAX_SATELLITE, SIGNAL_NUMBERS, 3))
+    """Return what ``slipped_since`` remembers, by satellite and Septentrio's signal: nothing yet."""
+    return np.zeros((MAX_SATELLITE, SIGNAL_NUMBERS, SLIP_STATE))
 
 
 @kernel
@@ -184,9 +180,9 @@ def epoch_columns(
 ) -> tuple[int, int]:  # fmt: skip
     """Write the columns of an epoch of one antenna, sorted by (satellite, signal); return the number of rows, and that of unknown signals.
 
-    ``state`` is that of ``lock_slip`` by satellite and signal. Out: ``ids`` (satellite, signal), ``sources`` (receiver channel, number of
-    the signal: what MeasExtra names), ``channel``, ``flags``, and ``columns``: pseudorange, phase, Doppler, C/N0, lock time, sigma of
-    pseudorange, of phase (both not known here).
+    ``state`` is that of ``slipped_since`` by satellite and signal. Out: ``ids`` (satellite, signal), ``sources`` (receiver channel and number
+    of the signal, by which MeasExtra calls them), ``channel``, ``flags``, and ``columns``: pseudorange, phase, Doppler, C/N0, lock time,
+    sigma of pseudorange, of phase (both not known here).
     """
     keys, count, unknown = np.empty(len(rows), np.int64), 0, 0
     for i in range(len(rows)):
@@ -204,7 +200,7 @@ def epoch_columns(
         ids[0, k], ids[1, k] = keys[k] >> SATELLITE_SHIFT, keys[k] >> SIGNAL_SHIFT & SIGNAL_MASK
         sources[0, k], sources[1, k], channel[k] = row["receiver_channel"], row["number"], row["channel"]
         valid = not np.isnan(row["phase_cyc"])
-        slipped = lock_slip(state[row["satellite"], row["number"]], row["lock_s"], row["lock_limit_s"], valid, time_s)
+        slipped = slipped_since(state[row["satellite"], row["number"]], float(row["lock_s"]), float(row["lock_limit_s"]), valid, time_s)
         flags[k] = ((SLIP if slipped else 0) | (HALF_CYCLE if row["half_cycle"] else 0)) if valid else 0
         columns[0, k], columns[1, k], columns[2, k] = row["pseudorange_m"], row["phase_cyc"], row["doppler_hz"]
         columns[3, k], columns[4, k] = row["cn0_dbhz"], row["lock_s"]

@@ -1,7 +1,7 @@
 """The receiver's own solution, set-up and attitude from SBF (mosaic-X5 reference guide 4.14, 4.2.9 to 4.2.11 and 4.2.15)."""
 
 from dataclasses import replace
-from math import isfinite, nan, radians, sqrt
+from math import isfinite, nan, pi, radians, sqrt
 from struct import Struct
 from typing import Final
 
@@ -10,7 +10,7 @@ import numpy as np
 from rtkmesh.codecs.rtcm3_station import printable
 from rtkmesh.gnss.ephemeris import ReceiverFix, ReferenceStation
 from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef
-from rtkmesh.gnss.receiver import CarrierSolution, ReceiverHeading, wrapped_heading_rad
+from rtkmesh.gnss.receiver import CarrierSolution, ReceiverHeading
 from rtkmesh.gnss.time import GpsTime
 
 PVT_GEODETIC, RECEIVER_SETUP = "4007", "5902"
@@ -166,7 +166,7 @@ def _heading(data: bytes, time: GpsTime | None) -> ReceiverHeading:
         angles = _value(heading), _value(pitch), _value(roll) if mode >= 3 else nan
     heading_rad, pitch_rad, roll_rad = (radians(angle) for angle in angles)
     return ReceiverHeading(
-        time, "AttEuler", solution or CarrierSolution.NONE, of_baseline=False, heading_rad=wrapped_heading_rad(heading_rad),
+        time, "AttEuler", solution or CarrierSolution.NONE, of_baseline=False, heading_rad=heading_rad % (2.0 * pi),
         pitch_rad=pitch_rad, roll_rad=roll_rad, satellites=None if satellites == 255 else satellites,
     )  # fmt: skip
 

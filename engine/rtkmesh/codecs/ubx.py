@@ -31,12 +31,12 @@ _REASONS: Final = {WRONG_LENGTH: "length", UNKNOWN_SATELLITE: "satellite", **{co
 
 
 class UbxDecoder:
-    """Decodes the UBX frames of one receiver; it remembers lock times and navigation blocks."""
+    """Decodes the UBX frames of one receiver; it remembers lock times and navigation blocks. ``repeats``: see NavigationDecoder."""
 
-    def __init__(self, approximate_time: GpsTime | None = None) -> None:
+    def __init__(self, approximate_time: GpsTime | None = None, *, repeats: bool = False) -> None:
         self.counters = DecodingCounters()
         self.clock_resets = 0
-        self._navigation = NavigationDecoder(approximate_time)
+        self._navigation = NavigationDecoder(approximate_time, repeats=repeats)
         self._slip_state = new_slip_state()
 
     @property
