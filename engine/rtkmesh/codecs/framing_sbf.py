@@ -5,6 +5,8 @@
 
 from typing import Final
 
+import numpy as np
+
 from rtkmesh._jit import kernel
 from rtkmesh.codecs.candidates import BAD_CHECKSUM, NEEDS_MORE, NO_FRAME
 from rtkmesh.codecs.checksums import crc16_range
@@ -24,16 +26,17 @@ def sbf_candidate(data: bytes, start: int, end: int) -> int:
         return NO_FRAME
     if start + _SHORTEST > end:
         return NEEDS_MORE
-    number, length = sbf_number(data, start), int(data[start + 6]) | int(data[start + 7]) << 8
+    number, length = sbf_number(data, start), int(np.int64(data[start + 6]) | np.int64(data[start + 7]) << 8)
     if number < _NUMBERS[0] or number > _NUMBERS[1] or length < _SHORTEST or length % 4 or length > SBF_MAX_LENGTH:
         return NO_FRAME
-    if start + length > end:
+    stop = start + length
+    if stop > end:
         return NEEDS_MORE
     sent = int(data[start + 2]) | int(data[start + 3]) << 8
-    return length if crc16_range(data, start + 4, start + length) == sent else BAD_CHECKSUM
+    return stop - start if crc16_range(data, start + 4, stop) == sent else BAD_CHECKSUM
 
 
 @kernel
 def sbf_number(data: bytes, start: int) -> int:
     """Return the number of a block without its revision."""
-    return (int(data[start + 4]) | int(data[start + 5]) << 8) & 0x1FFF
+    return int((np.int64(data[start + 4]) | np.int64(data[start + 5]) << 8) & 0x1FFF)

@@ -37,9 +37,7 @@ class OptionStage:
         self._wanted = [(SYSTEMS.index(text[0]), signal_number(text[1:])) for text in options.signals]
         self._slipped = np.zeros((MAX_SATELLITE, MAX_SIGNAL), np.bool_)  # while their phases were left out
         o = options
-        self._changes = bool(
-            o.rounding_s or o.invert_phase or o.invert_doppler or o.signals or o.slip_sigma is not None or o.drop_sigma is not None
-        )
+        self._changes = bool(o.rounding_s or o.invert_doppler or o.signals or o.slip_sigma is not None or o.drop_sigma is not None)
 
     def passes(self, ephemeris: Ephemeris) -> bool:
         """Return whether an ephemeris is to be used: of Galileo only the wanted message's, where one is wanted."""
@@ -55,8 +53,6 @@ class OptionStage:
         o = self._options
         if self._wanted:
             epoch = epoch.take(self._kept(epoch))
-        if protocol is not Protocol.RTCM3 and o.invert_phase:
-            epoch = replace(epoch, phase_cyc=-epoch.phase_cyc)
         if protocol is Protocol.RTCM3 and o.invert_doppler:
             epoch = replace(epoch, doppler_hz=-epoch.doppler_hz)
         if protocol is not Protocol.RTCM3:

@@ -36,7 +36,8 @@ _SETUP: Final = Struct("<2x60s20s20s40s20s20s20s20s20sfff")
 _DO_NOT_USE: Final = -2e10
 _RAW_HEAD: Final = Struct("<BBBBBB")
 _MAX_LOCK1_S, _MAX_LOCK2_S = 65534, 254
-_NO_PHASE, _NO_DOPPLER, _NO_CODE = (-128, 0), -(1 << 31), (-4, 0)
+_NO_DOPPLER = -(1 << 31)
+_NO_PHASE, _NO_CODE, _NO_DOPPLER_DIFFERENCE = (-128, 0), (-4, 0), (-16, 0)
 _SUBFRAME_S, _PAGE_S, _STRING_S = 6.0, 2.0, 2.0
 # Signals that raw blocks name as their source: L1CA of GPS and QZSS, E1, L1CA of GLONASS, B1I.
 _SOURCE: Final = {GPS_RAW_CA: 0, QZSS_RAW_CA: 6, GALILEO_RAW_INAV: 17, GLONASS_RAW_CA: 8, BEIDOU_RAW: 28}
@@ -122,14 +123,13 @@ def _satellite_blocks(epoch: Epoch, antenna: int) -> list[bytes]:
 def _further(epoch: Epoch, signal: _Signal, first_hz: float, first_code: int, first_doppler: int, antenna: int) -> bytes:
     """Return a sub-block of type 2; ``first_code`` (mm) and ``first_doppler`` (0.1 mHz) are what its type 1 sends."""
     pseudorange_m, doppler = float(epoch.pseudorange_m[signal.row]), float(epoch.doppler_hz[signal.row])
-    code, (code_msb, code_lsb) = first_code, _NO_CODE
-    if not isnan(pseudorange_m):
-        code = round(pseudorange_m * 1e3)
-        code_msb, code_lsb = divmod(code - first_code, 65536)
-    doppler_msb, doppler_lsb = -16, 0
+    code = first_code if isnan(pseudorange_m) else round(pseudorange_m * 1e3)
+    code_msb, code_lsb = _NO_CODE if isnan(pseudorange_m) else _difference(code - first_code, _NO_CODE)
+    doppler_msb, doppler_lsb = _NO_DOPPLER_DIFFERENCE
     if not isnan(doppler) and first_doppler != _NO_DOPPLER:
-        doppler_msb, doppler_lsb = divmod(round((doppler - first_doppler * 1e-4 * signal.hz / first_hz) * 1e4), 65536)
-    msb, lsb = _phase(epoch, signal, code) if not isnan(pseudorange_m) else _NO_PHASE
+        step = round((doppler - first_doppler * 1e-4 * signal.hz / first_hz) * 1e4)
+        doppler_msb, doppler_lsb = _difference(step, _NO_DOPPLER_DIFFERENCE)
+    msb, lsb = _phase(epoch, signal, code) if (code_msb, code_lsb) != _NO_CODE else _NO_PHASE
     return _FURTHER.pack(
         antenna << 5 | min(signal.number, 31), min(floor(np.nan_to_num(epoch.lock_s[signal.row])), _MAX_LOCK2_S), _cn0(epoch, signal),
         (doppler_msb & 31) << 3 | code_msb & 7, msb, _info(epoch, signal), code_lsb, lsb, doppler_lsb,
@@ -141,8 +141,13 @@ def _phase(epoch: Epoch, signal: _Signal, code_mm: int) -> tuple[int, int]:
     phase = float(epoch.phase_cyc[signal.row])
     if isnan(phase):
         return _NO_PHASE
-    msb, lsb = divmod(round((phase - code_mm * 1e-3 * signal.hz / SPEED_OF_LIGHT_MPS) * 1e3), 65536)
-    return (msb, lsb) if -128 <= msb < 128 else _NO_PHASE
+    return _difference(round((phase - code_mm * 1e-3 * signal.hz / SPEED_OF_LIGHT_MPS) * 1e3), _NO_PHASE)
+
+
+def _difference(number: int, none: tuple[int, int]) -> tuple[int, int]:
+    """Return a number in high and low part; ``none`` (the least high part) where it does not fit."""
+    msb, lsb = divmod(number, 65536)
+    return (msb, lsb) if none[0] <= msb < -none[0] else none
 
 
 def _info(epoch: Epoch, signal: _Signal) -> int:

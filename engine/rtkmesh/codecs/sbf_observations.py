@@ -51,7 +51,7 @@ _NO_DOPPLER = -(1 << 31)
 @kernel
 def u2(data: bytes, at: int) -> int:
     """Return the unsigned 16-bit number at a byte, little endian."""
-    return int(data[at]) | int(data[at + 1]) << 8
+    return int(np.int64(data[at]) | np.int64(data[at + 1]) << 8)  # a plain int of a byte stays a byte, and sums of them unsigned
 
 
 @kernel
@@ -138,7 +138,7 @@ def read_signals(data: bytes, end: int, rows: Rows) -> int:
     ``rows`` has room for as many as the block's length allows.
     """
     count, at, flags = 0, HEAD, int(data[17])
-    first_bytes, further_bytes = int(data[15]), int(data[16])
+    first_bytes, further_bytes = int(np.int64(data[15])), int(np.int64(data[16]))
     if flags & _SCRAMBLED_FLAG:
         return SCRAMBLED
     for _ in range(data[14]):
@@ -180,9 +180,9 @@ def epoch_columns(
 ) -> tuple[int, int]:  # fmt: skip
     """Write the columns of an epoch of one antenna, sorted by (satellite, signal); return the number of rows, and that of unknown signals.
 
-    ``state`` is that of ``slipped_since`` by satellite and signal. Out: ``ids`` (satellite, signal), ``sources`` (receiver channel and number
-    of the signal, by which MeasExtra calls them), ``channel``, ``flags``, and ``columns``: pseudorange, phase, Doppler, C/N0, lock time,
-    sigma of pseudorange, of phase (both not known here).
+    ``state`` is that of ``slipped_since`` by satellite and signal. Out: ``ids`` (satellite, signal), ``sources`` (receiver channel and
+    number of the signal, by which MeasExtra calls them), ``channel``, ``flags``, and ``columns``: pseudorange, phase, Doppler, C/N0,
+    lock time, sigma of pseudorange, of phase (both not known here).
     """
     keys, count, unknown = np.empty(len(rows), np.int64), 0, 0
     for i in range(len(rows)):
@@ -218,7 +218,7 @@ def add_extra(
     ``sources``: receiver channel and number of the signal of each row. Blocks of revision 3 have the number's high part and the fine part
     of C/N0.
     """
-    size, at = int(data[15]), HEAD
+    size, at = int(np.int64(data[15])), HEAD
     if size < _EXTRA - 2 or HEAD + int(data[14]) * size > end:
         return False
     for _ in range(data[14]):

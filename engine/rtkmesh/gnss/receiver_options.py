@@ -19,8 +19,8 @@ class ReceiverOptions:
     """What is done to the messages of one receiver. All by default: nothing.
 
     ``all_ephemerides``: also those that repeat the last one. ``galileo``: ``"inav"`` or ``"fnav"``, the only Galileo ephemerides that
-    pass; empty: both. ``rounding_s``: epochs are moved to multiples of it, ranges by the clock (0: not). ``invert_phase`` and
-    ``invert_doppler`` turn signs. ``slip_sigma`` and ``drop_sigma`` in steps of 0.004 cycles: a phase of at least this reported sigma has
+    pass; empty: both. ``rounding_s``: epochs are moved to multiples of it, ranges by the clock (0: not). ``invert_doppler`` turns the
+    sign of RTCM 3. ``slip_sigma`` and ``drop_sigma`` in steps of 0.004 cycles: a phase of at least this reported sigma has
     slipped, one of more than this is left out (None: not). ``station``: the only RTCM 3 station whose messages are read. ``antenna``: of
     an SBF receiver, 0 main, 1 and 2 auxiliary. ``signals``: (system, band, attribute): where a satellite has this signal, its others of
     the band are left out. ``notes``: what of the text asks for nothing, and why.
@@ -29,7 +29,6 @@ class ReceiverOptions:
     all_ephemerides: bool = False
     galileo: str = ""
     rounding_s: float = 0.0
-    invert_phase: bool = False
     invert_doppler: bool = False
     slip_sigma: int | None = None
     drop_sigma: int | None = None
@@ -44,7 +43,6 @@ _FLAGS: Final[dict[str, dict[str, Any]]] = {
     "-EPHALL": {"all_ephemerides": True},
     "-GALINAV": {"galileo": "inav"},
     "-GALFNAV": {"galileo": "fnav"},
-    "-INVCP": {"invert_phase": True},
     "-INVPRR": {"invert_doppler": True},
     "-AUX1": {"antenna": 1},
     "-AUX2": {"antenna": 2},
@@ -62,6 +60,7 @@ _NEEDLESS: Final = {
     "-IHALFC": "phases with an unknown half cycle are always passed on, marked as such",
     "-RT_INP": 'a live stream is always dated by the system\'s clock; for a recording say date = "YYYY-MM-DD"',
     "-NO_MEAS3": "Meas3 blocks are not read",
+    "-INVCP": "phases of RXM-RAWX need it not; old RXM-RAW and SkyTraq, which do, are not read",
     "-TRKM_ADJ": "the undocumented TRK-MEAS messages are not read",
     "-NOET": "there is no Javad decoder that it could speak to",
 }
