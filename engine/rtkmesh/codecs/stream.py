@@ -22,6 +22,7 @@ from rtkmesh.codecs.messages import Decoder, DecodingCounters, Frame, FramingCou
 from rtkmesh.codecs.nmea import NmeaDecoder
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.ubx import SFRBX, UbxDecoder
+from rtkmesh.codecs.unicore import MAIN_ANTENNA, UnicoreDecoder
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix
 from rtkmesh.gnss.epoch import SLIP, Epoch
 from rtkmesh.gnss.time import GpsTime
@@ -42,12 +43,14 @@ class ObservationSource(StrEnum):
 class StreamOptions:
     """Options of a stream decoder.
 
-    ``approximate_time`` (within three days of the first epoch) settles weeks until the stream does it itself.
+    ``approximate_time`` (within three days of the first epoch) settles weeks until the stream does it itself. ``antenna`` 2 takes the
+    observations of a receiver's second antenna: those that the receiver sends as RTCM 3 are of its first one and are refused then.
     """
 
     protocols: Collection[Protocol] = FRAMED
     observations: ObservationSource | str = ObservationSource.AUTO
     approximate_time: GpsTime | None = None
+    antenna: int = MAIN_ANTENNA
 
 
 _SAME_EPOCH_S: Final = 5e-4  # epochs of one protocol that are closer than this are the same
@@ -132,8 +135,10 @@ class StreamDecoder:
             Protocol.UBX: self._ubx,
             Protocol.RTCM3: self._rtcm3,
             Protocol.NMEA: NmeaDecoder(options.approximate_time),
+            Protocol.UNICORE: UnicoreDecoder(options.antenna),
         }
-        self._timeline = Timeline(ObservationSource(options.observations))
+        main = options.antenna == MAIN_ANTENNA
+        self._timeline = Timeline(ObservationSource(options.observations) if main else ObservationSource.UNICORE)
         self._told: GpsTime | None = None
         self._published: dict[tuple[int, int], tuple[object, ...]] = {}
         self._latest: dict[tuple[type, object], Message] = {}
