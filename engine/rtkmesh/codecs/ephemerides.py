@@ -107,10 +107,7 @@ def kepler_ephemeris(
     satellite: int, message: NavigationMessage, values: Values, sent: GpsTime, issues: tuple[int, int], fit_s: float,
     *, accuracy_m: float, health: int, delays_s: tuple[float, float],
 ) -> KeplerEphemeris | None:  # fmt: skip
-    """Return the ephemeris of decoded fields, whose times are GPST.
-
-    ``issues``: IODE and IODC. None where an orbit or a time is beyond what satellites have.
-    """
+    """Return the ephemeris of the values of ``_ORBIT``, ``toe_s`` and ``toc_s`` (GPST), sent at a time; None where they are of no orbit."""
     if not (4000.0 < values["sqrt_a"] < 8000.0 and values["eccentricity"] < 0.5 and sent.week >= 0):
         return None
     if not (values["toe_s"] < SECONDS_PER_WEEK + 14.0 and values["toc_s"] < SECONDS_PER_WEEK + 14.0):

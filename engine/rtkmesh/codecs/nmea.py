@@ -1,7 +1,8 @@
 """NMEA 0183 sentences of a receiver. Version 4.11.
 
 GGA is its fix; GST, RMC and VTG before it bring accuracy, date and velocity, ZDA the date. HDT and THS are headings, GSV and GSA the
-satellites that it sees and uses.
+satellites that it sees and uses. Also Unicore's answers to commands, which come in the form of a sentence:
+``$command,MODE ROVER,response: OK``.
 """
 
 from collections.abc import Callable
@@ -14,10 +15,11 @@ from rtkmesh.codecs.nmea_satellites import SatelliteGatherer
 from rtkmesh.codecs.utc import from_utc, gps_day, microseconds
 from rtkmesh.gnss.constants import SECONDS_PER_DAY
 from rtkmesh.gnss.ephemeris import ReceiverFix
-from rtkmesh.gnss.receiver import ReceiverHeading
+from rtkmesh.gnss.receiver import CommandAnswer, ReceiverHeading
 from rtkmesh.gnss.time import GpsTime
 
 _FIX_OF_QUALITY: Final = {1: 3, 2: 4, 3: 3, 4: 6, 5: 5, 6: 1}
+_ANSWER: Final = "command"
 _DAY_US: Final = 86_400_000_000
 _MPS_PER_KNOT: Final = 1852.0 / 3600.0
 _MAX_ADDRESS: Final = 8
@@ -44,7 +46,9 @@ class NmeaDecoder:
         }  # fmt: skip
 
     def decode(self, frame: Frame) -> list[Message]:
-        """Return what a sentence completes: a fix, a heading, the satellites in view."""
+        """Return what a sentence completes: a fix, a heading, the satellites in view, a receiver's answer."""
+        if frame.kind == _ANSWER:
+            return self._answer(frame)
         reader = self._readers.get(frame.kind[-3:])
         if reader is None or len(frame.kind) > _MAX_ADDRESS:
             known = len(self.counters.ignored) < _MAX_KINDS
@@ -56,6 +60,16 @@ class NmeaDecoder:
             return []
         self.counters.decoded[f"nmea/{frame.kind}"] += 1
         return [found] if not isinstance(found, bool) and found is not None else []
+
+    def _answer(self, frame: Frame) -> list[Message]:
+        text = frame.data[1 : frame.data.rfind(b"*")].decode("ascii", "replace")
+        command, found, response = text.removeprefix(f"{_ANSWER},").partition(",response:")
+        if not found:
+            self.counters.rejected[f"nmea/{_ANSWER} field"] += 1
+            return []
+        self.counters.decoded[f"nmea/{_ANSWER}"] += 1
+        response = response.strip()
+        return [CommandAnswer(command, response.upper() == "OK", response)]
 
     def _rmc(self, _: str, fields: list[str]) -> bool:
         if len(fields) < 10:

@@ -24,6 +24,7 @@ from rtkmesh.codecs.option_stage import OptionStage
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.sbf import SbfDecoder
 from rtkmesh.codecs.ubx import SFRBX, UbxDecoder
+from rtkmesh.codecs.unicore import MAIN_ANTENNA, UnicoreDecoder
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix
 from rtkmesh.gnss.epoch import SLIP, Epoch
 from rtkmesh.gnss.receiver_options import ReceiverOptions
@@ -45,13 +46,16 @@ class ObservationSource(StrEnum):
 class StreamOptions:
     """Options of a stream decoder.
 
-    ``receiver`` are RTKLIB's. ``approximate_time`` (within three days of the first epoch) settles weeks until the stream does it itself.
+    ``receiver`` are RTKLIB's options. ``approximate_time`` (within three days of the first epoch) settles weeks until the stream does it
+    itself. ``antenna`` 2 takes the observations of a receiver's second antenna (3: of its third): those that the receiver sends as
+    RTCM 3 are of its first one and are refused then.
     """
 
     protocols: Collection[Protocol] = FRAMED
     observations: ObservationSource | str = ObservationSource.AUTO
     approximate_time: GpsTime | None = None
     receiver: ReceiverOptions = field(default_factory=ReceiverOptions)
+    antenna: int = MAIN_ANTENNA
 
 
 _SAME_EPOCH_S: Final = 5e-4  # epochs of one protocol that are closer than this are the same
@@ -63,6 +67,7 @@ _TO_OTHER: Final = 30  # epochs of another protocol without one of the chosen on
 _TELL_TIME_S: Final = 3600.0
 _MAX_KINDS: Final = 1000  # kinds of frames that nobody decodes with a counter of their own
 _KIND: Final = attrgetter("kind")
+_OF_SEVERAL_ANTENNAS: Final = (Protocol.UNICORE, Protocol.SBF)
 _OTHER_SOURCE: Final = "of the other source"
 
 
@@ -134,13 +139,16 @@ class StreamDecoder:
         self._repeats, self._stage = wanted.all_ephemerides, OptionStage(wanted)
         self._ubx = UbxDecoder(near, repeats=self._repeats)
         self._rtcm3 = Rtcm3Decoder(near, self._is_published, station=wanted.station)
-        self._sbf = SbfDecoder(near, wanted.antenna, repeats=self._repeats)
+        antenna = max(options.antenna, MAIN_ANTENNA + wanted.antenna)
+        self._sbf = SbfDecoder(near, antenna - MAIN_ANTENNA, repeats=self._repeats)
         self._decoders: dict[Protocol, Decoder] = {
             Protocol.UBX: self._ubx,
             Protocol.RTCM3: self._rtcm3,
             Protocol.NMEA: NmeaDecoder(near),
+            Protocol.UNICORE: UnicoreDecoder(antenna),
             Protocol.SBF: self._sbf,
         }
+        self._is_main = antenna == MAIN_ANTENNA
         self._timeline = Timeline(ObservationSource(options.observations))
         self._told: GpsTime | None = None
         self._published: dict[tuple[int, int], tuple[object, ...]] = {}
@@ -216,6 +224,9 @@ class StreamDecoder:
     def _epoch(self, epoch: Epoch, protocol: Protocol) -> list[Epoch]:
         if protocol is not Protocol.RTCM3:  # raw protocols know their week
             self._tell_time(epoch.time)
+        if not self._is_main and protocol not in _OF_SEVERAL_ANTENNAS:
+            self._dropped.ignored[f"{protocol} epoch {_OTHER_SOURCE}"] += 1
+            return []
         switched = self._timeline.switches(protocol)
         refusal = self._timeline.refusal(epoch, protocol)
         if refusal:
