@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message
 from rtkmesh.codecs.rtcm3_encode import encode_epoch
+from rtkmesh.codecs.sbf_encode import encode_meas_epoch, encode_meas_extra
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx_encode import encode_rawx
 from rtkmesh.gnss.ephemeris import ReceiverFix
@@ -348,7 +349,7 @@ def warm_decoder() -> None:
     }
     epoch = make_epoch(start, satellite=satellites, signal=signals, channel=[NO_CHANNEL, 1, NO_CHANNEL, NO_CHANNEL], **columns)
     decoder = StreamDecoder(StreamOptions(approximate_time=start))
-    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1)):
+    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1), *2 * [encode_meas_epoch(epoch) + encode_meas_extra(epoch)]):
         decoder.feed(data)
     decoder.flush()
 
