@@ -192,6 +192,7 @@ def test_raw_and_decoded_blocks_give_the_same_ephemerides():
     """LNAV, I/NAV, D1 and GLONASS strings against GPSNav, GALNav, BDSNav, GLONav and QZSNav of the same satellites."""
     now = GpsTime(2445, 532_800.0)
     sent = [broadcast(satellite, now) for satellite in SATELLITES[::3]]
+    sent.append(replace(next(e for e in sent if satellite_id(e.satellite)[0] == "G"), satellite=satellite_number("J02"), fit_s=7200.0))
     raw = ephemerides_of(b"".join(part for e in sent for part in encode.encode_navigation(e, frame_start(e.satellite, now), KLOBUCHAR)))
     decoded = ephemerides_of(b"".join(encode.encode_ephemeris(e, now) for e in raw.values()))
     assert raw.keys() == decoded.keys() == {e.satellite for e in sent}
