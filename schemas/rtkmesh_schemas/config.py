@@ -66,7 +66,8 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     that is better placed is taken again when it has been back for ``return_after_s``.
 
     ``position_ecef_m`` or ``position_llh_deg`` (lat, lon, ellipsoidal height) is the antenna's known position and replaces what the
-    stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``navigation`` marks a source of ephemerides only.
+    stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``options`` are RTKLIB's receiver options (``"-TADJ=0.1 -GL2L"``).
+    ``navigation`` marks a source of ephemerides only.
     """
 
     source: str
@@ -76,7 +77,8 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     position_ecef_m: EcefVector | None = None
     position_llh_deg: GeodeticVector | None = None
     date: str = ""
-    observations: Literal["auto", "ubx", "rtcm3"] = "auto"
+    observations: Literal["auto", "ubx", "rtcm3", "unicore", "novatel", "sbf"] = "auto"
+    options: str = ""
     navigation: bool = False
     raw: bool = True
     commands: CommandsTable = CommandsTable()
@@ -195,7 +197,7 @@ class OutputTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     time_form: Literal["calendar", "tow"] = "calendar"
     receiver: str = ""
     mounts: dict[str, str] = {}
-    protocol: Literal["rtcm3", "ubx", "nmea", "all"] = "rtcm3"
+    protocol: Literal["rtcm3", "ubx", "nmea", "unicore", "novatel", "sbf", "all"] = "rtcm3"
     messages: tuple[Annotated[int, Meta(ge=1, le=4095)], ...] = ()
     users: dict[str, str] = {}
     anonymous: bool = False

@@ -9,10 +9,12 @@ from typing import Any, ClassVar
 
 from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message
 from rtkmesh.codecs.rtcm3_encode import encode_epoch
+from rtkmesh.codecs.sbf_encode import encode_meas_epoch, encode_meas_extra
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx_encode import encode_rawx
 from rtkmesh.gnss.ephemeris import ReceiverFix
 from rtkmesh.gnss.epoch import make_epoch
+from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number, signal_number
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.command import Reply, Request
@@ -30,7 +32,7 @@ from rtkmesh_services.ingest.failover import Failover
 from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
 from rtkmesh_services.ingest.live import LiveSources, counters_of
 from rtkmesh_services.ingest.recording import RawRecording, Recording
-from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, common_start, date_of, gps_now, recording_of
+from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, common_start, date_of, gps_now, recording_of, stream_options
 from rtkmesh_services.ingest.stream import StreamPublisher
 from rtkmesh_services.ingest.urls import SourceUrl, parse_source, wants_nearest
 from rtkmesh_services.mapping.position import known_position
@@ -77,6 +79,8 @@ class IngestService(Service):
             self.context.subscribe(SOL.key(solver), lane="place")
         self.context.bus.on_live(self._on_live)
         self._publisher.open()
+        for note in parse_receiver_options(self._table.options).notes:
+            self.context.event(Level.INFO, "receiver_option", f"nothing to do for {note}")
         self._start_source()
 
     def handle(self, item: Any) -> None:
@@ -140,7 +144,7 @@ class IngestService(Service):
 
     def _new_decoder(self) -> StreamDecoder:
         near = date_of(self._table.date) or gps_now(self.context.clock)
-        return StreamDecoder(StreamOptions(approximate_time=near, observations=self._table.observations))
+        return StreamDecoder(stream_options(self._table, near))
 
     def _live_sources(self) -> LiveSources:
         table = self._table
@@ -167,7 +171,7 @@ class IngestService(Service):
     def _play(self, stopping: threading.Event) -> None:
         """Play the recording of a file source (in its own thread)."""
         try:
-            recording = self._recording = recording_of(self._url, self._table.date, self._table.observations)
+            recording = self._recording = recording_of(self._url, self._table)
             start = common_start(self._all_recordings()) if self._url.speed else None
             start = start + self._url.number("start", 0.0) if start is not None else None
         except SourceError as error:
@@ -180,7 +184,7 @@ class IngestService(Service):
         """Yield every observation recording of this deployment: they are played in step."""
         for table in self.context.deployment.ingest.values():
             if table.replay and not table.navigation and Path(parse_source(table.source).path).is_file():
-                yield recording_of(parse_source(table.source), table.date, table.observations)
+                yield recording_of(parse_source(table.source), table)
 
     def _sink(self, item: Chunk | LinkReport) -> None:
         self.context.inbox.put(item, lane="source")
@@ -345,7 +349,7 @@ def warm_decoder() -> None:
     }
     epoch = make_epoch(start, satellite=satellites, signal=signals, channel=[NO_CHANNEL, 1, NO_CHANNEL, NO_CHANNEL], **columns)
     decoder = StreamDecoder(StreamOptions(approximate_time=start))
-    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1)):
+    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1), *2 * [encode_meas_epoch(epoch) + encode_meas_extra(epoch)]):
         decoder.feed(data)
     decoder.flush()
 

@@ -17,6 +17,8 @@ from typing import Any, Final, TypeGuard, TypeVar
 
 import msgspec
 
+from rtkmesh.errors import OptionError
+from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.config import Deployment, OutputTable, SolverTable
 from rtkmesh_schemas.errors import BadKeyError, ConfigError
 from rtkmesh_schemas.keys import CONTROL_ID, Role, check_id
@@ -276,6 +278,8 @@ def _check(reader: _Reader, deployment: Deployment) -> None:
     for role in _MULTIPLE:
         for id in getattr(deployment, role):  # noqa: A001  the word of the design
             _check_id(reader, owners, role, id)
+    for id, ingest in deployment.ingest.items():  # noqa: A001
+        _check_options(reader, id, ingest.options)
     for id, solver in deployment.solver.items():  # noqa: A001
         _check_reference(reader, "ingest", solver.rover, ("solver", id, "rover"))
         if solver.base:
@@ -296,6 +300,13 @@ def _check(reader: _Reader, deployment: Deployment) -> None:
                 ("hub", "listen", str(index)),
                 f"[hub] listen: {address!r} is no loopback address; others could command your receivers: say insecure = true to allow it",
             )
+
+
+def _check_options(reader: _Reader, id: str, text: str) -> None:  # noqa: A002
+    try:
+        parse_receiver_options(text)
+    except OptionError as error:
+        reader.fault(("ingest", id, "options"), f"[ingest.{id}] options: {error}")
 
 
 def _check_solver(reader: _Reader, id: str, solver: SolverTable) -> None:  # noqa: A002
