@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from math import degrees, sqrt
+from typing import TypeVar
 
 import numpy as np
 from pyubx2 import GET, UBX_CONFIG_DATABASE, UBXMessage
@@ -37,30 +38,14 @@ def key(name: str) -> int:
     return UBX_CONFIG_DATABASE[name][0]
 
 
-@dataclass
-class SimulatedReceiver:
-    """``deaf``: so many configuration messages go by without a word; ``refused``: keys it does not have."""
+class Device:
+    """The receiver's end of a pseudo-terminal, and a thread that serves it."""
 
-    place: Position = PLACE
-    second_s: float = 0.02
-    bytes_per_s: float = 0.0
-    deaf: int = 0
-    refused: frozenset[str] = frozenset()
-    used: int = 2
-    bias_m: float = 0.0  # east of the true place: what its fixes and surveys are off
-    ram: dict[int, int] = field(default_factory=dict[int, int])
-    flash: dict[int, int] = field(default_factory=dict[int, int])
-    corrections: list[Frame] = field(default_factory=list[Frame])
-    heard: Counter[str] = field(default_factory=Counter[str])
-
-    def __post_init__(self) -> None:
+    def __init__(self) -> None:
         self.master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
-        self._framer = Framer()
         self._stop = threading.Event()
-        self._duration = 0
-        self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def start(self) -> None:
@@ -71,6 +56,43 @@ class SimulatedReceiver:
         self._thread.join()
         for end in (self.master, self._slave):
             os.close(end)
+
+    def _run(self) -> None:
+        raise NotImplementedError
+
+    def _say(self, data: bytes) -> None:
+        with suppress(OSError):
+            if data and select.select([], [self.master], [], 0.0)[1]:
+                os.write(self.master, data)
+
+
+Kind = TypeVar("Kind", bound=Device)
+
+
+@dataclass
+class SimulatedReceiver(Device):
+    """``deaf``: so many configuration messages go by without a word; ``refused``: keys it does not have."""
+
+    place: Position = PLACE
+    second_s: float = 0.02
+    bytes_per_s: float = 0.0
+    deaf: int = 0
+    refused: frozenset[str] = frozenset()
+    stubborn: frozenset[str] = frozenset()  # keys that it acknowledges and does not change
+    used: int = 2
+    bias_m: float = 0.0  # east of the true place: what its fixes and surveys are off
+    ram: dict[int, int] = field(default_factory=dict[int, int])
+    flash: dict[int, int] = field(default_factory=dict[int, int])
+    corrections: list[Frame] = field(default_factory=list[Frame])
+    heard: Counter[str] = field(default_factory=Counter[str])
+    model: str = "ZED-F9P"
+    messages: dict[bytes, bytes] = field(default_factory=dict[bytes, bytes])  # of generation 8: payloads by what polls them
+
+    def __post_init__(self) -> None:
+        super().__init__()
+        self._framer = Framer()
+        self._duration = 0
+        self._lock = threading.Lock()
 
     def power_cycle(self) -> None:
         """Forget what is not in flash."""
@@ -165,15 +187,28 @@ class SimulatedReceiver:
         payload = frame.data[6:-2]
         if frame.kind == "0a-04":
             texts = b"EXT CORE 1.00 (f10c36)".ljust(30, b"\0") + b"00190000".ljust(10, b"\0")
-            return UBXMessage("MON", "MON-VER", GET, payload=texts + b"MOD=ZED-F9P".ljust(30, b"\0")).serialize()
+            return UBXMessage("MON", "MON-VER", GET, payload=texts + f"MOD={self.model}".encode().ljust(30, b"\0")).serialize()
         if frame.kind == "01-3b":
             return self._svin()
         if frame.kind not in ("06-8a", "06-8b"):
-            return acknowledgement(frame, taken=False) if frame.kind.startswith("06-") else b""
+            return self._message(frame, payload) if frame.kind.startswith("06-") else b""
         if self.deaf > 0:
             self.deaf -= 1
             return b""
         return self._set(frame, payload) if frame.kind == "06-8a" else self._get(frame, payload)
+
+    def _message(self, frame: Frame, payload: bytes) -> bytes:
+        """Take a message of generation 8: CFG-RATE, -MSG and -CFG, or a poll of them."""
+        asked = {"06-08": 0, "06-01": 2, "06-09": 99}.get(frame.kind)
+        if asked is None or "M8T" not in self.model:
+            return acknowledgement(frame, taken=False)
+        about = frame.data[2:4] + payload[:asked]
+        if len(payload) == asked:
+            return UBXMessage(frame.data[2:3], frame.data[3:4], GET, payload=self.messages[about]).serialize() + acknowledgement(
+                frame, taken=True
+            )
+        self.messages[about] = payload
+        return acknowledgement(frame, taken=True)
 
     def _set(self, frame: Frame, payload: bytes) -> bytes:
         values: dict[int, int] = {}
@@ -188,7 +223,7 @@ class SimulatedReceiver:
         if payload[1] & 1:
             if values.get(key("CFG_TMODE_MODE"), self.mode) != self.mode:
                 self._duration = 0
-            self.ram.update(values)
+            self.ram.update({number: value for number, value in values.items() if number not in map(key, self.stubborn)})
         if payload[1] & 4:
             self.flash.update(values)
         return acknowledgement(frame, taken=True)
@@ -206,11 +241,6 @@ class SimulatedReceiver:
         refused = {key(name) for name in self.refused}
         return any(number not in _NUMBERS or number in refused for number in numbers)  # type: ignore[attr-defined]
 
-    def _say(self, data: bytes) -> None:
-        with suppress(OSError):
-            if data and select.select([], [self.master], [], 0.0)[1]:
-                os.write(self.master, data)
-
 
 def signed(value: int, bits: int) -> int:
     return value - (1 << bits) if value >> (bits - 1) else value
@@ -222,7 +252,7 @@ def acknowledgement(frame: Frame, *, taken: bool) -> bytes:
 
 
 @contextmanager
-def running(receiver: SimulatedReceiver) -> Iterator[SimulatedReceiver]:
+def running(receiver: Kind) -> Iterator[Kind]:
     """Give a receiver that runs."""
     receiver.start()
     try:

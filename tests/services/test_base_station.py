@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 from tests.services.simulated_receiver import PLACE, SimulatedReceiver, key, running
+from tests.services.simulated_text_receivers import SimulatedMosaic, SimulatedUnicore, TextReceiver
 
 from rtkmesh.gnss.ephemeris import ReferenceStation
 from rtkmesh_schemas.base import SurveyStatus
@@ -22,6 +23,7 @@ from rtkmesh_schemas.wire import decode
 from rtkmesh_services.ingest.base import station
 from rtkmesh_services.ingest.base.found import Found
 from rtkmesh_services.ingest.base.presets import STATE_VARIABLE, PresetStore
+from rtkmesh_services.ingest.receivers import orders
 from rtkmesh_services.ingest.service import IngestService
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
@@ -135,7 +137,8 @@ def test_a_survey_is_begun_watched_published_and_saved(receiver: SimulatedReceiv
     assert base.status().state is State.RUNNING
 
 
-def test_orders_that_are_not_answered_are_said_again(receiver: SimulatedReceiver, make: Make):
+def test_orders_that_are_not_answered_are_said_again(receiver: SimulatedReceiver, make: Make, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(orders, "FIRST_PATIENCE_S", 0.3)
     receiver.deaf = 2
     make(mode="survey-in", minimum_s=5, accuracy_m=5.0).until_state("surveyed")
     assert receiver.heard["ubx/06-8a"] == 4, "two unheard, two of the survey"
@@ -294,6 +297,42 @@ def test_a_survey_can_be_ended(receiver: SimulatedReceiver, make: Make):
     assert base.ask("survey_stop").code is Code.ACCEPTED
     base.until(lambda: receiver.mode == 0)
     assert base.survey().state == "off"
+
+
+TEXTS: dict[str, tuple[type[TextReceiver], list[str]]] = {
+    "unicore": (SimulatedUnicore, ["MODE BASE TIME 1"]),
+    "septentrio": (SimulatedMosaic, ["setPVTMode, Rover", "setPVTMode, Static, , auto"]),
+}
+
+
+@pytest.mark.parametrize("language", TEXTS)
+def test_receivers_of_text_survey_and_are_told_positions(language: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """They say no progress: the survey is done when their time is over and their place comes."""
+    monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
+    kind, commands = TEXTS[language]
+    with running(kind()) as receiver:
+        base = Base(receiver.path, receiver=language, mode="survey-in", minimum_s=1, preset="roof")
+        done = base.until_state("surveyed")
+        assert receiver.heard == commands
+        assert near(done.position_ecef_m)
+        assert done.accuracy_m == 10.0, "nobody knows"
+        assert PresetStore().get("roof") is not None
+        assert base.ask("survey_stop").ok
+        base.until(lambda: receiver.position is None)
+        PresetStore().save(Found((PLACE[0], PLACE[1] + 9.0, PLACE[2]), 0.02, "operator").saved_as("mast", 0, "test", ReferenceStation(7)))
+        assert base.ask("use_preset", name="mast", unchecked=True).ok
+        base.until_state("fixed")
+        base.until(lambda: near(receiver.position, (PLACE[0], PLACE[1] + 9.0, PLACE[2])))
+        base.close()
+
+
+def test_a_receiver_of_text_that_refuses_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
+    with running(SimulatedUnicore(refused=("MODE BASE",))) as receiver:
+        base = Base(receiver.path, receiver="unicore", mode="survey-in", minimum_s=1)
+        text = base.until_event("base_failed").text
+        base.close()
+    assert text.startswith("MODE BASE TIME 1: refused (PARSING FAILED NO MATCHING FUNC MODE BASE TIME 1); trying again")
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,11 @@ def _status(station: BaseStation, now_s: float) -> dict[str, Any]:
 
 
 def _name(arguments: Mapping[str, Any], default: str = "") -> str:
-    name = arguments.get("name", default)
+    return check_name(arguments.get("name", default))
+
+
+def check_name(name: Any) -> str:
+    """Return a position's name; CommandError if it is none."""
     if not isinstance(name, str) or not name or len(name) > 64 or not all(c.isascii() and (c.isalnum() or c in "_.-") for c in name):
         raise CommandError(Code.BAD_ARGUMENTS, "name= a saved position: letters, digits, '_', '-', '.', at most 64")
     return name

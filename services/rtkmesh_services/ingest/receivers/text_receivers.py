@@ -18,18 +18,19 @@ LONGEST_SURVEY_S: Final = 3600  # MODE BASE TIME takes no more
 SEPTENTRIO_WAKE: Final = b"SSSSSSSSSS\r\n"  # takes a port that is set to RTCM input back to commands
 
 
-def _squeezed(text: str) -> str:
+def squeezed(text: str) -> str:
+    """Return a text in small letters without blanks: how answers are compared."""
     return "".join(text.lower().split())
 
 
 def unicore(command: str) -> Order:
     """Return the order of a Unicore command: taken with ``response: OK``."""
-    wanted = _squeezed(command)
+    wanted = squeezed(command)
 
     def judge(heard: Heard) -> Answer | None:
         if not isinstance(heard, str) or "response:" not in heard:
             return None
-        said = _squeezed(heard[heard.find("$command") :])
+        said = squeezed(heard[heard.find("$command") :])
         if wanted not in said:
             return None
         verdict = heard.rpartition("response:")[2].partition("*")[0].strip()
@@ -42,7 +43,7 @@ def unicore(command: str) -> Order:
 
 def septentrio(command: str) -> Order:
     """Return the order of a Septentrio command: ``$R: NAME`` takes it, ``$R? NAME`` refuses it."""
-    wanted = _squeezed(command)
+    wanted = squeezed(command)
     name = command.replace(",", " ").split()[0].lower()
 
     def judge(heard: Heard) -> Answer | None:
@@ -52,7 +53,7 @@ def septentrio(command: str) -> Order:
         if not found or name not in said.lower():
             return None
         if said[:1] in (":", ";"):
-            return Answer(accepted=True, text=said[1:].strip()) if _squeezed(said[1:]).startswith(wanted) else None
+            return Answer(accepted=True, text=said[1:].strip()) if squeezed(said[1:]).startswith(wanted) else None
         return Answer(accepted=False, text=said[1:].strip())
 
     return Order(command, f"{command}\r\n".encode("ascii", "replace"), judge)
