@@ -1,5 +1,6 @@
 """What a base station knows of its position: saved files, means with honest sigmas, moves, and the languages of receivers."""
 
+import gzip
 import json
 import math
 import threading
@@ -11,20 +12,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2 import SET, UBXReader
 
+from rtkmesh.codecs.framing import Framer
 from rtkmesh.codecs.messages import Frame, Protocol
+from rtkmesh.codecs.rtcm3_station import StationDecoder
 from rtkmesh.gnss.ephemeris import ReceiverFix, ReferenceStation
 from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef_at, geodetic_from_ecef
 from rtkmesh_schemas.command import Code
+from rtkmesh_schemas.config import BaseStationTable, Deployment
+from rtkmesh_schemas.keys import EVENT, Role
+from rtkmesh_schemas.status import Event
+from rtkmesh_schemas.wire import decode
 from rtkmesh_services.errors import CommandError, ServiceError
 from rtkmesh_services.ingest.base.averaging import CODE, FIXED, PositionAverage, mean_factor
 from rtkmesh_services.ingest.base.found import Found
 from rtkmesh_services.ingest.base.presets import HISTORY, PresetStore
+from rtkmesh_services.ingest.base.station import BaseStation
 from rtkmesh_services.ingest.base.watch import PositionWatch, code_limit_m
 from rtkmesh_services.ingest.receivers.orders import Answer, Conversation, Order, TextLines
 from rtkmesh_services.ingest.receivers.survey import Dialect
 from rtkmesh_services.ingest.receivers.text_receivers import dialect_of, septentrio, unicore
 from rtkmesh_services.ingest.receivers.ublox import centimetres, progress_of
 from rtkmesh_services.ingest.ubx_commands import framed
+from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
+from rtkmesh_services.runtime.service import Context
 
 PLACE = (4268987.123, 1178894.456, 4574798.789)
 
@@ -110,15 +120,15 @@ def test_the_factor_of_a_mean_is_that_of_its_integral():
 
 def test_the_sigma_of_a_mean_is_honest_where_errors_last():
     """Many means of Gauss-Markov errors: what they err by is what the sigma says; a sigma of independent fixes would be ten times less."""
-    random, hours, step_s = np.random.default_rng(4), 2, 60.0
+    random, steps, step_s = np.random.default_rng(4), 60, 120.0
     decay = math.exp(-step_s / CODE.correlation_s)
     single = np.array([CODE.horizontal_m, CODE.horizontal_m, CODE.vertical_m])
     errors, claimed = [], []
-    for _ in range(60):
+    for _ in range(40):
         average, error = PositionAverage(), single * random.standard_normal(3)
-        for minute in range(60 * hours):
+        for step in range(steps):
             error = decay * error + math.sqrt(1.0 - decay**2) * single * random.standard_normal(3)
-            average.add(fix(error, sigma_m=0.5), minute * step_s)
+            average.add(fix(error, sigma_m=0.5), step * step_s)
         mean = average.mean()
         assert mean is not None
         errors.append(enu_from_ecef_at(np.array(PLACE)) @ (np.array(mean.position_ecef_m) - np.array(PLACE)))
@@ -342,3 +352,63 @@ def test_lines_are_found_however_the_stream_is_cut(pieces: list[bytes], junk: by
     found = [line for byte in data for line in cut.feed(bytes((byte,)))]
     assert found == whole.feed(data)
     assert "$command,MODE ROVER,response: OK*5D" in found
+
+
+def frames_of(file: Path) -> list[Frame]:
+    return Framer().feed(gzip.decompress(file.read_bytes()))
+
+
+SURVEYS = {  # of an M8P near Galway: seconds, accuracy (m) and position that it ended with
+    "base-20181004-1236": (128.0, 1.3375, (3774089.2120, -601661.6157, 5089321.2475)),
+    "base-20181004-1452": (128.0, 1.6935, (3774085.6456, -601662.5770, 5089316.3970)),
+    "base-20181015-1654": (2554.0, 1.0000, (3774701.7853, -596672.9250, 5089485.8556)),
+}
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", SURVEYS)
+def test_real_surveys_are_read_as_pyubx2_reads_them_and_end_at_the_1005_that_follows(data: Path, name: str):
+    [file] = data.rglob(f"{name}.ubx.gz")
+    frames = frames_of(file)
+    said = [frame for frame in frames if frame.kind == "01-3b"]
+    for frame in said[::20]:
+        progress, other = progress_of(frame), UBXReader.parse(frame.data)
+        assert progress is not None
+        assert (progress.duration_s, progress.observations) == (other.dur, other.obs)
+        assert (progress.valid, progress.active) == (bool(other.valid), bool(other.active))
+        assert progress.accuracy_m == pytest.approx(other.meanAcc * 1e-4)
+        assert progress.position_ecef_m is not None
+        assert progress.position_ecef_m[0] == pytest.approx(other.meanX * 1e-2 + other.meanXHP * 1e-4, abs=1e-6)
+    last = progress_of(said[-1])
+    assert last is not None
+    duration_s, accuracy_m, place = SURVEYS[name]
+    assert (last.valid, last.duration_s, last.accuracy_m) == (True, duration_s, pytest.approx(accuracy_m))
+    assert last.position_ecef_m == pytest.approx(place, abs=1e-4)
+    sent = {frame.data for frame in frames if frame.kind == "1005"}
+    assert len(sent) == 1
+    station = StationDecoder().decode(sent.pop()[3:-3], 1005)
+    assert isinstance(station, ReferenceStation)
+    assert station.position_ecef_m == pytest.approx(place, abs=1.1e-4)
+
+
+@pytest.mark.data
+def test_two_real_surveys_of_a_day_differ_by_metres_and_are_no_move(data: Path, tmp_path: Path):
+    """6.1 m apart; the receiver said 1.3 m and 1.7 m. The third one is five kilometres away: that is a move."""
+    places: list[tuple[str, str]] = []
+    bus = MemoryBus("base", MemoryNetwork())
+    context = Context(id="base", role=Role.INGEST, deployment=Deployment(), bus=bus)
+    table = BaseStationTable(mode="survey-in", receiver="ublox-legacy", preset="galway")
+    for name in SURVEYS:
+        station = BaseStation(context, table, lambda _: True, lambda *_: None, PresetStore(tmp_path))
+        station.connected(0.0)
+        [file] = data.rglob(f"{name}.ubx.gz")
+        for second, frame in enumerate(frame for frame in frames_of(file) if frame.kind == "01-3b"):
+            station.tick(float(second))
+            station.hear(frame, float(second))
+        places.append((station.state, "moved" if station.watch.moved else ""))
+    assert places == [("surveyed", ""), ("surveyed", ""), ("surveyed", "moved")]
+    codes = [decode(Event, sample.payload).code for level in ("info", "error") for sample in bus.sent(EVENT, level=level)]
+    assert codes == ["survey_done", "base_saved", "survey_done", "base_consistent", "survey_done", "base_moved"]
+    saved = PresetStore(tmp_path).get("galway")
+    assert saved is not None
+    assert saved.position_ecef_m == pytest.approx(SURVEYS["base-20181004-1236"][2], abs=1e-4)

@@ -178,12 +178,17 @@ def test_a_known_position_is_told(receiver: SimulatedReceiver, make: Make):
     assert (ref.position_ecef_m, ref.origin) == (PLACE, "configuration")
 
 
-def test_a_preset_is_surveyed_once_and_then_told(receiver: SimulatedReceiver, make: Make):
-    """The second start finds a receiver that has lost its power: its fixes agree with what is saved, so it is told that."""
+def surveyed_and_cold(receiver: SimulatedReceiver, make: Make) -> None:
+    """A first run surveys and saves the roof; then the receiver loses its power."""
     first = make(mode="preset", preset="roof", minimum_s=5, accuracy_m=5.0)
     first.until_state("surveyed")
     first.close()
     receiver.power_cycle()
+
+
+def test_a_preset_is_surveyed_once_and_then_told(receiver: SimulatedReceiver, make: Make):
+    """The second start finds a receiver that has lost its power: its fixes agree with what is saved, so it is told that."""
+    surveyed_and_cold(receiver, make)
     receiver.bias_m = 1.4
     second = make(mode="preset", preset="roof", check_s=1)
     second.until_state("fixed")
@@ -201,10 +206,7 @@ def test_a_preset_is_surveyed_once_and_then_told(receiver: SimulatedReceiver, ma
 
 
 def test_a_base_that_was_carried_away_is_not_told_its_old_place(receiver: SimulatedReceiver, make: Make):
-    first = make(mode="preset", preset="roof", minimum_s=5, accuracy_m=5.0)
-    first.until_state("surveyed")
-    first.close()
-    receiver.power_cycle()
+    surveyed_and_cold(receiver, make)
     receiver.bias_m = 60.0
     second = make(mode="preset", preset="roof", check_s=1)
     event = second.until_event("base_moved")

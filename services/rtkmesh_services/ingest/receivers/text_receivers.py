@@ -59,11 +59,24 @@ def septentrio(command: str) -> Order:
     return Order(command, f"{command}\r\n".encode("ascii", "replace"), judge)
 
 
-class Unicore:
+class _OfFewWords:
+    """A receiver that does not say how its survey goes: its 1005/1006 ends it."""
+
+    tells_progress = False
+
+    def ask(self) -> list[Order]:
+        """Nothing can be asked."""
+        return []
+
+    def progress(self, heard: Heard) -> SurveyProgress | None:
+        """Nothing is said."""
+        del heard
+
+
+class Unicore(_OfFewWords):
     """UM980, UM982 and their relatives. A survey lasts its time; the receiver says neither its progress nor its accuracy."""
 
     name = "unicore"
-    tells_progress = False
 
     def survey(self, minimum_s: float, accuracy_m: float) -> list[Order]:
         """Return the orders of a new survey."""
@@ -80,20 +93,11 @@ class Unicore:
         """Return the orders that make it a rover again."""
         return [unicore("MODE ROVER")]
 
-    def ask(self) -> list[Order]:
-        """Nothing can be asked."""
-        return []
 
-    def progress(self, heard: Heard) -> SurveyProgress | None:
-        """Nothing is said."""
-        del heard
-
-
-class Septentrio:
+class Septentrio(_OfFewWords):
     """mosaic, AsteRx. It averages until it finds its position good enough, and takes no limits."""
 
     name = "septentrio"
-    tells_progress = False
 
     def survey(self, minimum_s: float, accuracy_m: float) -> list[Order]:
         """Return the orders of a new survey: from rover to static, or nothing begins anew."""
@@ -110,14 +114,6 @@ class Septentrio:
     def rover(self) -> list[Order]:
         """Return the orders that make it a rover again."""
         return [septentrio("setPVTMode, Rover")]
-
-    def ask(self) -> list[Order]:
-        """Nothing can be asked."""
-        return []
-
-    def progress(self, heard: Heard) -> SurveyProgress | None:
-        """Nothing is said."""
-        del heard
 
 
 def dialect_of(receiver: str) -> Dialect | None:
