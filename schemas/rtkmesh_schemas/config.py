@@ -118,7 +118,7 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     position_ecef_m: EcefVector | None = None
     position_llh_deg: GeodeticVector | None = None
     date: str = ""
-    observations: Literal["auto", "ubx", "rtcm3"] = "auto"
+    observations: Literal["auto", "ubx", "rtcm3", "unicore", "novatel", "sbf"] = "auto"
     navigation: bool = False
     raw: bool = True
     commands: CommandsTable = CommandsTable()
@@ -238,7 +238,7 @@ class OutputTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     time_form: Literal["calendar", "tow"] = "calendar"
     receiver: str = ""
     mounts: dict[str, str] = {}
-    protocol: Literal["rtcm3", "ubx", "nmea", "all"] = "rtcm3"
+    protocol: Literal["rtcm3", "ubx", "nmea", "unicore", "novatel", "sbf", "all"] = "rtcm3"
     messages: tuple[Annotated[int, Meta(ge=1, le=4095)], ...] = ()
     users: dict[str, str] = {}
     anonymous: bool = False

@@ -10,7 +10,9 @@ from rtkmesh._jit import kernel
 Bytes = bytes | NDArray[np.uint8]
 
 CRC24Q_POLYNOMIAL: Final = 0x1864CFB  # RTCM 10403.3 4.2, Galileo OS SIS ICD 2.1 5.1.9.4
-
+CRC32_POLYNOMIAL: Final = (
+    0xEDB88320  # reflected: that of IEEE 802.3, as NovAtel and Unicore use it: initial value 0, no inversion at the end
+)
 
 _STRIDE: Final = 8  # bytes that the CRC takes at once
 
@@ -32,6 +34,21 @@ def _crc24q_tables() -> NDArray[np.int64]:
 CRC24Q = _crc24q_tables()
 
 
+def _crc32_tables() -> NDArray[np.int64]:
+    """Return the CRC-32 of a byte that ``k`` zero bytes follow, by k and byte."""
+    tables = np.zeros((_STRIDE, 256), np.int64)
+    for byte in range(256):
+        crc = byte
+        for k in range(_STRIDE):
+            for _ in range(8):
+                crc = crc >> 1 ^ (CRC32_POLYNOMIAL if crc & 1 else 0)
+            tables[k, byte] = crc
+    return tables
+
+
+CRC32 = _crc32_tables()
+
+
 @kernel
 def crc24q_range(data: Bytes, start: int, end: int) -> int:
     """Return the CRC-24Q of ``data[start:end]`` (initial value 0)."""
@@ -50,6 +67,28 @@ def crc24q_range(data: Bytes, start: int, end: int) -> int:
 def crc24q(data: Bytes) -> int:
     """Return the CRC-24Q of all bytes."""
     return int(crc24q_range(data, 0, len(data)))
+
+
+@kernel
+def crc32_range(data: Bytes, start: int, end: int) -> int:
+    """Return the CRC-32 of NovAtel and Unicore of ``data[start:end]`` (NovAtel OEM7 reference 1.7, Unicore N4 R1.13 7.1)."""
+    part, crc, whole = data[start:end], 0, (end - start) // _STRIDE * _STRIDE
+    for i in range(0, whole, _STRIDE):
+        crc ^= int(part[i]) | int(part[i + 1]) << 8 | int(part[i + 2]) << 16 | int(part[i + 3]) << 24
+        following = 0
+        for k in range(4, _STRIDE):
+            following ^= int(CRC32[_STRIDE - 1 - k, part[i + k]])
+        crc = (
+            int(CRC32[7, crc & 255]) ^ int(CRC32[6, crc >> 8 & 255]) ^ int(CRC32[5, crc >> 16 & 255]) ^ int(CRC32[4, crc >> 24]) ^ following
+        )
+    for i in range(whole, len(part)):
+        crc = crc >> 8 ^ int(CRC32[0, (crc ^ int(part[i])) & 255])
+    return crc
+
+
+def crc32(data: Bytes) -> int:
+    """Return the CRC-32 of all bytes, as NovAtel and Unicore count it."""
+    return int(crc32_range(data, 0, len(data)))
 
 
 @kernel

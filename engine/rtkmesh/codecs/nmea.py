@@ -1,4 +1,7 @@
-"""NMEA 0183 sentences that tell a receiver's own fix: GGA (position), GST (its accuracy), RMC (the date). Version 4.11."""
+"""NMEA 0183 sentences that tell a receiver's own fix: GGA (position), GST (its accuracy), RMC (the date). Version 4.11.
+
+Also Unicore's answers to commands, which come in the form of a sentence: ``$command,MODE ROVER,response: OK``.
+"""
 
 from math import hypot, isfinite, radians
 from typing import Final
@@ -7,9 +10,11 @@ from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
 from rtkmesh.codecs.utc import from_utc, gps_day, microseconds
 from rtkmesh.gnss.constants import SECONDS_PER_DAY
 from rtkmesh.gnss.ephemeris import ReceiverFix
+from rtkmesh.gnss.receiver import CommandAnswer
 from rtkmesh.gnss.time import GpsTime
 
 _FIX_OF_QUALITY: Final = {1: 3, 2: 4, 3: 3, 4: 6, 5: 5, 6: 1}
+_ANSWER: Final = "command"
 _DECODED: Final = frozenset(("GGA", "GST", "RMC"))
 _DAY_US: Final = 86_400_000_000
 _NAN: Final = float("nan")
@@ -30,6 +35,8 @@ class NmeaDecoder:
 
     def decode(self, frame: Frame) -> list[Message]:
         """Return the receiver's fix if this is a GGA sentence."""
+        if frame.kind == _ANSWER:
+            return self._answer(frame)
         sentence = frame.kind[-3:]
         if sentence not in _DECODED:
             known = len(self.counters.ignored) < _MAX_KINDS
@@ -47,6 +54,16 @@ class NmeaDecoder:
             return []
         self.counters.decoded[f"nmea/{frame.kind}"] += 1
         return [fix] if isinstance(fix, ReceiverFix) else []
+
+    def _answer(self, frame: Frame) -> list[Message]:
+        text = frame.data[1 : frame.data.rfind(b"*")].decode("ascii", "replace")
+        command, found, response = text.removeprefix(f"{_ANSWER},").partition(",response:")
+        if not found:
+            self.counters.rejected[f"nmea/{_ANSWER} field"] += 1
+            return []
+        self.counters.decoded[f"nmea/{_ANSWER}"] += 1
+        response = response.strip()
+        return [CommandAnswer(command, response.upper() == "OK", response)]
 
     def _rmc(self, fields: list[str]) -> bool:
         if len(fields) < 10:
