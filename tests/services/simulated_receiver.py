@@ -187,7 +187,9 @@ class SimulatedReceiver(Device):
         payload = frame.data[6:-2]
         if frame.kind == "0a-04":
             texts = b"EXT CORE 1.00 (f10c36)".ljust(30, b"\0") + b"00190000".ljust(10, b"\0")
-            return UBXMessage("MON", "MON-VER", GET, payload=texts + f"MOD={self.model}".encode().ljust(30, b"\0")).serialize()
+            protocol = "PROTVER=22.00" if "M8" in self.model else "PROTVER=27.31"
+            texts += b"".join(text.encode().ljust(30, b"\0") for text in ("ROM BASE 0x118B2060", protocol, f"MOD={self.model}"))
+            return UBXMessage("MON", "MON-VER", GET, payload=texts).serialize()
         if frame.kind == "01-3b":
             return self._svin()
         if frame.kind not in ("06-8a", "06-8b"):

@@ -210,6 +210,11 @@ def test_who_is_behind_a_port_is_found_by_asking(capsys: pytest.CaptureFixture[s
         assert (found.state, found.receiver, found.sends) == ("found", "ublox", ())
 
 
+def test_generation_8_is_told_from_later_ones():
+    said = ["ZED-F9P, EXT CORE 1.00 (f10c36), ROM BASE 0x118B2060, FWVER=HPG 1.32, PROTVER=27.31", "EXT CORE 3.01, PROTVER 20.30", "2.01"]
+    assert [probing.ublox_language(text) for text in said] == ["ublox", "ublox-legacy", "ublox-legacy"]
+
+
 def test_an_order_is_judged_by_lines_between_other_bytes():
     """A whole talk with a text receiver: what it sends by itself is in between."""
     from rtkmesh_services.ingest.receivers.text_receivers import unicore

@@ -3,17 +3,16 @@
 from collections import Counter
 from dataclasses import dataclass, field
 from math import inf
-from struct import Struct
 from typing import Any, Final
 
 from rtkmesh.codecs.messages import Frame
+from rtkmesh.gnss.receiver import CorrectionUse
+from rtkmesh_services.ingest.receivers.ublox import report_of
 from rtkmesh_services.ntrip.frames import MAXIMUM_AGE_S
 
 RXM_RTCM: Final = "02-32"
 JUDGED_AFTER: Final = 5  # messages that were not used before it is said that none is
-_RXM_RTCM: Final = Struct("<BBHHH")
-_PAYLOAD: Final = 6
-_WORDS: Final = ("unknown", "not_used", "used", "unknown")
+_WORDS: Final = {None: "unknown", False: "not_used", True: "used"}
 _MAXIMUM_NUMBERS: Final = 200  # a receiver says whatever it likes: counters stay bounded
 
 
@@ -69,11 +68,10 @@ class Feedback:
 
 def verdict_of_frame(frame: Frame) -> Verdict | None:
     """Return what an RXM-RTCM says, None for other frames and for one that is too short."""
-    if frame.kind != RXM_RTCM or len(frame.data) < _PAYLOAD + _RXM_RTCM.size + 2:
+    use = report_of(frame) if frame.kind == RXM_RTCM else None
+    if not isinstance(use, CorrectionUse):
         return None
-    flags: int
-    _, flags, _, station, number = _RXM_RTCM.unpack_from(frame.data, _PAYLOAD)
-    return Verdict(number, "crc_failed" if flags & 1 else _WORDS[flags >> 1 & 3], station)
+    return Verdict(use.message, "crc_failed" if use.failed_crc else _WORDS[use.used], use.station_id)
 
 
 def verdict_of_line(line: str) -> Verdict | None:

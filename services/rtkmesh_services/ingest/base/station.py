@@ -11,6 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from rtkmesh.gnss.ephemeris import ReceiverFix, ReferenceStation
+from rtkmesh.gnss.receiver import SurveyIn
 from rtkmesh_schemas.base import BasePosition
 from rtkmesh_schemas.config import BaseStationTable
 from rtkmesh_schemas.status import Level
@@ -20,7 +21,7 @@ from rtkmesh_services.ingest.base.found import UNKNOWN_ACCURACY_M, Found, distan
 from rtkmesh_services.ingest.base.presets import PresetStore
 from rtkmesh_services.ingest.base.watch import Move, PositionWatch, code_limit_m, move
 from rtkmesh_services.ingest.receivers.orders import Conversation, Heard, Order
-from rtkmesh_services.ingest.receivers.survey import Position, SurveyProgress
+from rtkmesh_services.ingest.receivers.survey import Position
 from rtkmesh_services.ingest.receivers.text_receivers import dialect_of
 from rtkmesh_services.mapping.position import ecef_of
 from rtkmesh_services.runtime.service import Context
@@ -53,7 +54,7 @@ class BaseStation:
         self.minimum_s, self.accuracy_m = table.minimum_s, table.accuracy_m
         self._conversation: Conversation | None = None
         self._then = ""  # the state after the conversation
-        self.progress: SurveyProgress | None = None
+        self.progress: SurveyIn | None = None
         self._average = PositionAverage()
         self.mean: Mean | None = None
         self.sender = ReferenceStation(station_id=0)  # what the receiver says of itself and its antenna
@@ -284,7 +285,7 @@ class BaseStation:
         if state in ("surveying", "averaging", "telling"):
             self.begun_s = now_s
 
-    def _look_at_progress(self, progress: SurveyProgress) -> None:
+    def _look_at_progress(self, progress: SurveyIn) -> None:
         if progress.valid and not progress.active and progress.position_ecef_m is not None:
             found = (progress.position_ecef_m, progress.accuracy_m, "survey-in", progress.duration_s, progress.observations)
             self._surveyed(Found(*found))

@@ -11,18 +11,18 @@ from typing import Final
 
 from rtkmesh.codecs.framing import Framer
 from rtkmesh.codecs.messages import Frame, Protocol
+from rtkmesh.gnss.receiver import ReceiverVersion
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.receivers.orders import Answer, Conversation, Heard, Order, TextLines, Told
 from rtkmesh_services.ingest.receivers.recipes import Recipe, Step
 from rtkmesh_services.ingest.receivers.text_receivers import SEPTENTRIO_WAKE, septentrio, unicore
-from rtkmesh_services.ingest.receivers.ublox import BBR, FLASH, MON_VER, RAM, acknowledged, payload_of, poll, valget, valset
+from rtkmesh_services.ingest.receivers.ublox import BBR, FLASH, RAM, acknowledged, payload_of, poll, report_of, valget, valset
 from rtkmesh_services.ingest.ubx_commands import framed, ubx_frame
 from rtkmesh_services.ingest.wires import Wire
 
 QUIET_S: Final = 0.6  # so long after the last line an answer of many lines is whole
 LONGEST_TEXT_S: Final = 4.0
 READ_BACK: Final = {"CFG-RATE": 0, "CFG-MSG": 2}  # messages that are polled by so many bytes of their payload
-_EXTENSION = 30  # length of a text in MON-VER
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ def identify(talker: Talker, language: str) -> str:
     """Return what a receiver calls itself; SourceError when nobody answers in its language."""
     if language in ("ublox", "ublox-legacy"):
         talker.tell(poll(0x0A, 0x04, "MON-VER"))
-        found = [version_of(heard) for heard in talker.heard if isinstance(heard, Frame) and heard.kind == MON_VER]
+        found = [version for heard in talker.heard if (version := version_of(heard))]
     elif language == "unicore":
         lines = talker.ask(unicore("VERSIONA"))
         found = [line.partition(";")[2].partition("*")[0].replace('"', "") for line in lines if "VERSIONA," in line and ";" in line]
@@ -132,13 +132,13 @@ def identify(talker: Talker, language: str) -> str:
     return found[0].strip()
 
 
-def version_of(frame: Frame) -> str:
-    """Return the texts of a MON-VER, the model first where it says one."""
-    payload = payload_of(frame)
-    texts = [payload[:30], payload[30:40], *(payload[at : at + _EXTENSION] for at in range(40, len(payload), _EXTENSION))]
-    words = [text.partition(b"\0")[0].decode("ascii", "replace").strip() for text in texts]
-    words = [word for word in words if word and word.isprintable()]
-    return ", ".join(sorted(words, key=lambda word: not word.startswith("MOD=")))[:400]
+def version_of(heard: Heard) -> str:
+    """Return the texts of a MON-VER, the model first; nothing for anything else."""
+    report = report_of(heard)
+    if not isinstance(report, ReceiverVersion):
+        return ""
+    texts = (report.model, report.software, *report.extensions)
+    return ", ".join(text for text in texts if text and not text.startswith("MOD="))[:400]
 
 
 def orders_of(recipe: Recipe, *, save: bool) -> list[tuple[str, str]]:

@@ -1,5 +1,6 @@
 """Which serial ports there are, and who is behind them."""
 
+import re
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,9 +15,10 @@ from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.receivers.configure import Talker, version_of
 from rtkmesh_services.ingest.receivers.orders import Answer, Order
 from rtkmesh_services.ingest.receivers.text_receivers import unicore
-from rtkmesh_services.ingest.receivers.ublox import MON_VER, poll
+from rtkmesh_services.ingest.receivers.ublox import poll
 from rtkmesh_services.ingest.serial_ports import BAUDS, BY_ID, DEFAULT_BAUD, SerialWire, listen, open_port
 
+FIRST_WITH_KEYS: Final = 27
 ASKED_BAUDS: Final = BAUDS[:4]  # at which a receiver is asked that sends nothing by itself
 _KNOWN: Final = {
     (0x1546, 0x01A8): "u-blox M8",
@@ -121,14 +123,20 @@ def _ask(wire: SerialWire) -> tuple[str, str]:
     """Return language and version of the receiver behind an open port, nothing where it answers to neither question."""
     talker = Talker(wire)
     talker.tell(poll(0x0A, 0x04, "MON-VER"))
-    versions = [version_of(frame) for frame in talker.heard if isinstance(frame, Frame) and frame.kind == MON_VER]
+    versions = [version for heard in talker.heard if (version := version_of(heard))]
     if versions:
-        return "ublox" if "PROTVER=2" in versions[0] or "F9" in versions[0] else "ublox-legacy", versions[0]
+        return ublox_language(versions[0]), versions[0]
     order = unicore("VERSIONA")
     quick = Order(order.said, b"\r\n" + order.data, _is_version, needed=False, attempts=1)  # what was asked in UBX ends there
     talker.tell(quick)
     named = [line.partition(";")[2].partition("*")[0] for line in talker.heard if isinstance(line, str) and "#VERSIONA," in line]
     return ("unicore", named[0].replace('"', "")) if named else ("", "")
+
+
+def ublox_language(version: str) -> str:
+    """Return how a u-blox receiver is configured, by the version that it says: by keys from protocol 27 on (F9), else by messages."""
+    found = re.search(r"PROTVER[= ](\d+)", version)
+    return "ublox" if found is not None and int(found[1]) >= FIRST_WITH_KEYS else "ublox-legacy"
 
 
 def _is_version(heard: object) -> Answer | None:

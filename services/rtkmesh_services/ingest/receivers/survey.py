@@ -1,23 +1,11 @@
 """What all languages can say of a base's position, and which language is whose."""
 
-from dataclasses import dataclass
 from typing import Protocol
 
+from rtkmesh.gnss.receiver import SurveyIn
 from rtkmesh_services.ingest.receivers.orders import Heard, Order
 
 Position = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class SurveyProgress:
-    """How a survey goes: seconds and fixes so far, mean position (ECEF, m), its accuracy as the receiver says it."""
-
-    duration_s: float
-    observations: int
-    position_ecef_m: Position | None
-    accuracy_m: float
-    valid: bool
-    active: bool
 
 
 class Dialect(Protocol):
@@ -42,6 +30,6 @@ class Dialect(Protocol):
         """Return the orders that ask how the survey goes; none where it cannot be asked."""
         ...
 
-    def progress(self, heard: Heard) -> SurveyProgress | None:
+    def progress(self, heard: Heard) -> SurveyIn | None:
         """Return what was said of a survey, None for anything else."""
         ...

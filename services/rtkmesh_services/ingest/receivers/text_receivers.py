@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 
 from rtkmesh.gnss.frames import geodetic_from_ecef
+from rtkmesh.gnss.receiver import SurveyIn
 from rtkmesh_services.ingest.receivers.orders import Answer, Heard, Order
-from rtkmesh_services.ingest.receivers.survey import Dialect, Position, SurveyProgress
+from rtkmesh_services.ingest.receivers.survey import Dialect, Position
 from rtkmesh_services.ingest.receivers.ublox import Ublox, UbloxLegacy
 
 LONGEST_SURVEY_S: Final = 3600  # MODE BASE TIME takes no more
@@ -68,7 +69,7 @@ class _OfFewWords:
         """Nothing can be asked."""
         return []
 
-    def progress(self, heard: Heard) -> SurveyProgress | None:
+    def progress(self, heard: Heard) -> SurveyIn | None:
         """Nothing is said."""
         del heard
 

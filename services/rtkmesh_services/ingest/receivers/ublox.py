@@ -5,20 +5,19 @@ u-blox F9 HPG 1.32 interface description: 3.9 (ACK), 3.10 (CFG), 3.15.25 (NAV-SV
 
 import struct
 from collections.abc import Mapping, Sequence
-from struct import Struct
 from typing import Final
 
-from rtkmesh.codecs.messages import Frame
+from rtkmesh.codecs.messages import Frame, Protocol
+from rtkmesh.codecs.ubx_receiver import READERS, read_report
+from rtkmesh.gnss.receiver import CommandAnswer, ReceiverReport, SurveyIn
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.receivers.orders import Answer, Heard, Order
-from rtkmesh_services.ingest.receivers.survey import Position, SurveyProgress
+from rtkmesh_services.ingest.receivers.survey import Position
 from rtkmesh_services.ingest.ubx_commands import framed, key_of, type_of_key, ubx_frame
 
-ACK, NAK, SVIN, VALGET, MON_VER = "05-01", "05-00", "01-3b", "06-8b", "0a-04"
+VALGET, MON_VER = "06-8b", "0a-04"
 RAM, BBR, FLASH = 1, 2, 4
 MAXIMUM_KEYS: Final = 64  # of one CFG-VALSET or -VALGET
-_SVIN: Final = Struct("<B3xIIiiibbbxIIBB2x")
-_SVIN_PAYLOAD: Final = 40
 
 
 def payload_of(frame: Frame) -> bytes:
@@ -26,16 +25,25 @@ def payload_of(frame: Frame) -> bytes:
     return frame.data[6:-2]
 
 
+def report_of(heard: Heard) -> ReceiverReport | None:
+    """Return what a UBX frame says of the receiver itself, None where it says nothing of that, or too little."""
+    if isinstance(heard, str) or heard.protocol is not Protocol.UBX or heard.kind not in READERS:
+        return None
+    found = read_report(heard.kind, payload_of(heard), None)
+    return None if isinstance(found, str) else found
+
+
+def verdict_on(heard: Heard, data: bytes) -> Answer | None:
+    """Return the ACK-ACK or ACK-NAK of a configuration frame, None for anything else."""
+    report = report_of(heard)
+    if not isinstance(report, CommandAnswer) or report.command != f"ubx {data[2]:02x}-{data[3]:02x}":
+        return None
+    return Answer(report.accepted, report.text)
+
+
 def acknowledged(said: str, data: bytes) -> Order:
     """Return the order of a configuration frame: taken when ACK-ACK names its class and id, refused with ACK-NAK."""
-    about = data[2:4]
-
-    def judge(heard: Heard) -> Answer | None:
-        if isinstance(heard, str) or heard.kind not in (ACK, NAK) or payload_of(heard)[:2] != about:
-            return None
-        return Answer(heard.kind == ACK, "ACK-ACK" if heard.kind == ACK else "ACK-NAK")
-
-    return Order(said, data, judge)
+    return Order(said, data, lambda heard: verdict_on(heard, data))
 
 
 def valset(values: Mapping[str, float], layers: int = RAM) -> Order:
@@ -52,8 +60,9 @@ def valget(keys: Sequence[str]) -> Order:
     def judge(heard: Heard) -> Answer | None:
         if isinstance(heard, str):
             return None
-        if heard.kind == NAK and payload_of(heard)[:2] == data[2:4]:
-            return Answer(accepted=False, text="ACK-NAK")
+        verdict = verdict_on(heard, data)
+        if verdict is not None and not verdict.accepted:
+            return verdict
         if heard.kind != VALGET or payload_of(heard)[:1] != b"\x01":
             return None
         found = {names[number]: value for number, value in _values(payload_of(heard)[4:]).items() if number in names}
@@ -93,20 +102,10 @@ def centimetres(value_m: float) -> tuple[int, int]:
     return (whole, rest) if value_m >= 0.0 else (-whole, -rest)
 
 
-def progress_of(heard: Heard) -> SurveyProgress | None:
+def progress_of(heard: Heard) -> SurveyIn | None:
     """Return what a NAV-SVIN says, None for anything else."""
-    if isinstance(heard, str) or heard.kind != SVIN or len(payload_of(heard)) < _SVIN_PAYLOAD:
-        return None
-    _, _, duration_s, x, y, z, x_hp, y_hp, z_hp, accuracy, observations, valid, active = _SVIN.unpack_from(heard.data, 6)
-    position = (x * 1e-2 + x_hp * 1e-4, y * 1e-2 + y_hp * 1e-4, z * 1e-2 + z_hp * 1e-4)
-    return SurveyProgress(
-        duration_s=float(duration_s),
-        observations=observations,
-        position_ecef_m=position if any((x, y, z)) else None,
-        accuracy_m=accuracy * 1e-4,
-        valid=bool(valid),
-        active=bool(active),
-    )
+    report = report_of(heard)
+    return report if isinstance(report, SurveyIn) else None
 
 
 class Ublox:
@@ -140,7 +139,7 @@ class Ublox:
         """Return the orders that ask how the survey goes."""
         return [poll(0x01, 0x3B, "NAV-SVIN")]
 
-    def progress(self, heard: Heard) -> SurveyProgress | None:
+    def progress(self, heard: Heard) -> SurveyIn | None:
         """Return what was said of a survey."""
         return progress_of(heard)
 
