@@ -128,7 +128,7 @@ class SimulatedReceiver(Device):
         return 5.0 / sqrt(max(1, self._duration))
 
     def _run(self) -> None:
-        next_s, read_s = time.monotonic(), time.monotonic()
+        next_s, read_s = time.monotonic() + self.second_s, time.monotonic()
         while not self._stop.is_set():
             now_s = time.monotonic()
             room = 4096 if not self.bytes_per_s else int((now_s - read_s) * self.bytes_per_s)
