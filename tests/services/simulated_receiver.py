@@ -91,6 +91,7 @@ class SimulatedReceiver(Device):
     def __post_init__(self) -> None:
         super().__init__()
         self._framer = Framer()
+        self._framer.feed(b"\n")  # compiles or loads its kernel
         self._duration = 0
         self._lock = threading.Lock()
 

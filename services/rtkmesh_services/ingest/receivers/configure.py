@@ -58,6 +58,7 @@ class Talker:
     def __init__(self, wire: Wire) -> None:
         self._wire = wire
         self._framer, self._lines = Framer([Protocol.UBX]), TextLines()
+        self._framer.feed(b"\n")  # compiles or loads its kernel before anybody waits for an answer
         self.heard: list[Heard] = []
 
     def tell(self, *orders: Order) -> list[Told]:

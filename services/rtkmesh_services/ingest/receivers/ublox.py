@@ -93,7 +93,7 @@ def poll(class_: int, number: int, said: str) -> Order:
     def judge(heard: Heard) -> Answer | None:
         return Answer(accepted=True, text=said) if isinstance(heard, Frame) and heard.kind == kind else None
 
-    return Order(said, framed(class_, number, b""), judge, needed=False, attempts=2)
+    return Order(said, framed(class_, number, b""), judge, needed=False, attempts=3)
 
 
 def centimetres(value_m: float) -> tuple[int, int]:
