@@ -67,7 +67,7 @@ def test_a_slow_receiver_gets_whole_epochs_in_time_and_every_place(site: Any, ba
             f'[ingest.rover]\nsource = "serial://{receiver.path}?baud=9600"\n[ingest.rover.corrections]\nfrom = ["base"]\nset = "full"\n'
         )
         start(site, "rover", "base")
-        status = site.status_until(bus, "rover", lambda status: told(status)["written_bytes"] > 3500.0, 60.0)
+        status = site.status_until(bus, "rover", lambda status: told(status)["written_bytes"] > 3500.0, 120.0)
         corrections = told(status)
         site.until(lambda: len(receiver.corrections) >= sum(row["written"] for row in corrections["messages"].values()))
         frames = list(receiver.corrections)
@@ -105,7 +105,7 @@ def test_a_receiver_that_sends_nothing_gets_its_corrections(site: Any, base: Bas
             f'[ingest.rover]\nsource = "serial://{receiver.path}"\n[ingest.rover.corrections]\nfrom = ["base"]\n'
         )
         start(site, "rover", "base")
-        site.until(lambda: len(receiver.corrections) > 40, 40.0)
+        site.until(lambda: len(receiver.corrections) > 40, 120.0)
         counts = Counter(frame.kind for frame in receiver.corrections)
     assert set(counts) == {"1006", "1230", "1077", "1087", "1097", "1127"}, "the basic set"
 
@@ -118,7 +118,7 @@ def test_a_base_station_surveys_saves_and_is_commanded(site: Any, tmp_path: Path
             'mode = "preset"\npreset = "roof"\nreceiver = "ublox"\nminimum_s = 20\naccuracy_m = 2.0\n'
         )
         start(site, "base", **{STATE_VARIABLE: str(tmp_path / "state")})
-        site.status_until(bus, "base", lambda status: (status.data.get("base_station") or {}).get("state") == "surveyed", 40.0)
+        site.status_until(bus, "base", lambda status: (status.data.get("base_station") or {}).get("state") == "surveyed", 120.0)
         [answer] = call(bus, "base", "survey_status", {}, 5.0)
         assert answer.data["position_ecef_m"] == pytest.approx(PLACE, abs=2e-4)
         saved = PresetStore(tmp_path / "state").get("roof")
