@@ -101,7 +101,7 @@ class Replay:
 
 def recording_of(url: SourceUrl, date: str, observations: str) -> Recording:
     """Return the opened recording of a file URL; SourceError says what is wrong with it."""
-    options = StreamOptions(approximate_time=date_of(date), observations=observations)
+    options = StreamOptions(approximate_time=date_of(date), observations=observations, antenna=url.antenna)
     return open_recording(Path(url.path), date_of(date), options=options, timed=url.word("times") == "yes" and url.speed > 0.0)
 
 

@@ -11,8 +11,10 @@ from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Me
 from rtkmesh.codecs.rtcm3_encode import encode_epoch
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx_encode import encode_rawx
+from rtkmesh.codecs.unicore_encode import encode_compressed, encode_observations
 from rtkmesh.gnss.ephemeris import ReceiverFix
 from rtkmesh.gnss.epoch import make_epoch
+from rtkmesh.gnss.receiver import ReceiverReport
 from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number, signal_number
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.command import Reply, Request
@@ -29,6 +31,7 @@ from rtkmesh_services.ingest.credit import CreditGate
 from rtkmesh_services.ingest.failover import Failover
 from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
 from rtkmesh_services.ingest.live import LiveSources, counters_of
+from rtkmesh_services.ingest.receiver_state import ReceiverState
 from rtkmesh_services.ingest.recording import RawRecording, Recording
 from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, common_start, date_of, gps_now, recording_of
 from rtkmesh_services.ingest.stream import StreamPublisher
@@ -54,7 +57,9 @@ class IngestService(Service):
         super().__init__(context)
         self._table: IngestTable = context.deployment.ingest[context.id]
         self._url: SourceUrl = parse_source(self._table.source)
-        self._publisher = StreamPublisher(context, known_position(self._table), raw=self._table.raw)
+        raw = self._table.raw and self._url.scheme != "ingest"  # that ingest publishes them
+        self._publisher = StreamPublisher(context, known_position(self._table), raw=raw)
+        self._receiver = ReceiverState()
         self._gate = CreditGate(consumers_of(context), patience_s=0.0 if self._url.scheme != "file" or self._url.speed else DEAD_CONSUMER_S)
         self._decode_ms = RollingQuantiles()
         self._live = None if self._table.replay else self._live_sources()
@@ -129,6 +134,7 @@ class IngestService(Service):
                 "end": self._replayed.state is LinkState.ENDED,
                 "satellites": 0 if newest is None else len(set(newest.satellite.tolist())),
                 **({"source": self._live.active} if self._live is not None and self._table.fallback else {}),
+                **self._receiver.data(now_ns),
             },
         )
 
@@ -138,9 +144,9 @@ class IngestService(Service):
         if self._live is not None:
             self._live.stop(FAREWELL_S)
 
-    def _new_decoder(self) -> StreamDecoder:
+    def _new_decoder(self, url: SourceUrl) -> StreamDecoder:
         near = date_of(self._table.date) or gps_now(self.context.clock)
-        return StreamDecoder(StreamOptions(approximate_time=near, observations=self._table.observations))
+        return StreamDecoder(StreamOptions(approximate_time=near, observations=self._table.observations, antenna=url.antenna))
 
     def _live_sources(self) -> LiveSources:
         table = self._table
@@ -149,7 +155,7 @@ class IngestService(Service):
         failover = Failover(len(urls), table.fallback_after_s, table.return_after_s, now_s)
         commands = commands_of(table, self.context.config_folder)
         find_place = self._rover_place if solvers_to_ask(self.context) else None
-        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands)
+        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands, self.context.bus)
 
     def _rover_place(self) -> Place | None:
         """Return where the rover is, as its solver says (for the threads of casters)."""
@@ -228,7 +234,9 @@ class IngestService(Service):
             self._publish(played.item, played.mono_ns)
 
     def _publish(self, message: Message, mono_ns: int) -> None:
-        if not isinstance(message, ReceiverFix):
+        if isinstance(message, ReceiverReport):
+            self._receiver.take(message, mono_ns, self.context.event)
+        elif not isinstance(message, ReceiverFix):
             self._publisher.message(message, mono_ns)
 
     def _report_link(self, report: LinkReport) -> None:
@@ -345,7 +353,7 @@ def warm_decoder() -> None:
     }
     epoch = make_epoch(start, satellite=satellites, signal=signals, channel=[NO_CHANNEL, 1, NO_CHANNEL, NO_CHANNEL], **columns)
     decoder = StreamDecoder(StreamOptions(approximate_time=start))
-    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1)):
+    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1), encode_observations(epoch), encode_compressed(epoch, "OBSVMCMP")):
         decoder.feed(data)
     decoder.flush()
 
