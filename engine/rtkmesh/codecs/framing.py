@@ -212,13 +212,14 @@ class Framer:
 
     def _name(self, key: bytes | int) -> tuple[Protocol, str, str]:
         """Return the kind of a message and its name in the counters (the odd ones share one: a hostile stream must not fill memory)."""
+        odd = len(self._kinds) >= _MAX_KINDS
         if isinstance(key, bytes):
-            protocol, kind = Protocol.NMEA, key.decode("ascii")
-            if len(key) > _NMEA_ADDRESS or len(self._kinds) > _MAX_KINDS:
-                return protocol, kind, "nmea/other"
+            protocol, kind, odd = Protocol.NMEA, key.decode("ascii"), odd or len(key) > _NMEA_ADDRESS
         elif key >= _RTCM3_KEYS:
             protocol, kind = Protocol.RTCM3, str(key - _RTCM3_KEYS)
         else:
             protocol, kind = Protocol.UBX, f"{key >> 8:02x}-{key & 255:02x}"
+        if odd:
+            return protocol, kind, f"{protocol}/other"
         self._kinds[key] = protocol, kind, f"{protocol}/{kind}"
         return self._kinds[key]

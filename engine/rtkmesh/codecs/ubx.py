@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
+from rtkmesh.codecs.messages import DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.navigation import NavigationDecoder
 from rtkmesh.codecs.navigation_words import QUIET, REFUSALS
 from rtkmesh.codecs.ubx_observations import MEASUREMENT, ROW_BYTES, new_slip_state, rawx_columns
@@ -54,7 +54,7 @@ class UbxDecoder:
         elif kind == NAV_PVT:
             found = self._nav_pvt(frame.data)
         else:
-            self.counters.ignored[f"ubx/{kind}"] += 1
+            self.counters.ignore(Protocol.UBX, kind)
             return []
         if isinstance(found, str):
             self.counters.rejected[f"ubx/{kind} {found}"] += 1

@@ -27,6 +27,7 @@ from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.commands import commands_of
 from rtkmesh_services.ingest.credit import CreditGate
 from rtkmesh_services.ingest.failover import Failover
+from rtkmesh_services.ingest.figures import SourceFigures
 from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
 from rtkmesh_services.ingest.live import LiveSources, counters_of
 from rtkmesh_services.ingest.recording import RawRecording, Recording
@@ -59,6 +60,7 @@ class IngestService(Service):
         self._decode_ms = RollingQuantiles()
         self._live = None if self._table.replay else self._live_sources()
         self._replayed = LinkReport(LinkState.CONNECTING)
+        self._figures = SourceFigures(known_position(self._table))  # of a replay
         self._recording: Recording | None = None
         self._stop_source = threading.Event()
         self._bytes = self._errors = self._writes = self._writes_lost = 0
@@ -149,7 +151,8 @@ class IngestService(Service):
         failover = Failover(len(urls), table.fallback_after_s, table.return_after_s, now_s)
         commands = commands_of(table, self.context.config_folder)
         find_place = self._rover_place if solvers_to_ask(self.context) else None
-        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands)
+        known = known_position(table)
+        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands, known)
 
     def _rover_place(self) -> Place | None:
         """Return where the rover is, as its solver says (for the threads of casters)."""
@@ -223,8 +226,10 @@ class IngestService(Service):
         self._heard_ns = played.mono_ns
         if isinstance(played.item, Frame):
             self._bytes += len(played.item.data)
+            self._figures.replayed(played.item, played.mono_ns)
             self._publisher.frame(played.item, played.mono_ns)
         else:
+            self._figures.message(played.item, played.mono_ns)
             self._publish(played.item, played.mono_ns)
 
     def _publish(self, message: Message, mono_ns: int) -> None:
@@ -289,6 +294,7 @@ class IngestService(Service):
             age_s=(now_ns - self._heard_ns) * 1e-9 if self._bytes else None,
             errors=framing.checksum_failures.total() + decoding.rejected.total(),
             counters=counters_of(framing, decoding),
+            stream=self._figures.status(now_ns, framing, decoding),
         )
 
     def _health(self, age_s: float) -> tuple[State, str]:
