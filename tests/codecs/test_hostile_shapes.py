@@ -179,7 +179,7 @@ def test_a_jump_of_the_time_costs_some_satellites_at_a_time_and_all_in_the_end()
     asked: list[int] = []
     decoder = NavigationDecoder(NOW)
     decoder._messages = dict.fromkeys(range(1, 61), 0)
-    decoder._publish = lambda satellite, message: asked.append(satellite) or []  # type: ignore[method-assign]
+    decoder._publish = lambda satellite, _: asked.append(satellite) or []  # type: ignore[method-assign]
     counts = []
     for seconds in range(4):
         decoder.set_time(GpsTime(2390, 100.0 + seconds))

@@ -132,15 +132,15 @@ def _add(total: DecodingCounters, more: DecodingCounters) -> None:
 PROTOCOLS: Final = (
     Framed(
         Protocol.UBX, lambda body: ubx_encode.frame(body[0], body[1], body[2:]), _ubx_pool, [bytes.fromhex(head) for head in _UBX],
-        2000, UbxDecoder, 0.3, BINARY,
+        2000, UbxDecoder, 0.28, BINARY,
     ),
     Framed(
         Protocol.RTCM3, rtcm3_encode.frame, _rtcm3_pool, [struct.pack(">H", number << 4) for number in _RTCM3],
-        1023, Rtcm3Decoder, 0.3, BINARY,
+        1023, Rtcm3Decoder, 0.28, BINARY,
     ),
     Framed(
         Protocol.NMEA, seal_nmea, lambda: _NMEA_SEEDS, [seed[:6] for seed in _NMEA_SEEDS],
-        NMEA_MAX_LENGTH - 8, NmeaDecoder, 0.15, _NMEA_ALPHABET,
+        NMEA_MAX_LENGTH - 8, NmeaDecoder, 0.135, _NMEA_ALPHABET,
     ),
 )  # fmt: skip
 

@@ -35,24 +35,24 @@ class Bad:
         self.kept: list[bytes] = []
         self.taken = 0
 
-    def raises(self, data: bytes) -> None:
+    def raises(self, _: bytes) -> None:
         self.taken += 1
         if self.taken == 50:
             raise IndexError("beyond")
 
-    def hangs(self, data: bytes) -> None:
+    def hangs(self, _: bytes) -> None:
         self.taken += 1
         if self.taken == 50:
             sum(range(2_000_000))
 
-    def grows(self, data: bytes) -> None:
+    def grows(self, _: bytes) -> None:
         self.kept.append(bytes(200_000))
 
 
 @pytest.mark.parametrize(("fault", "says"), [("raises", "IndexError: beyond"), ("hangs", "every time"), ("grows", "memory grew")])
 def test_the_harness_sees(fault: str, says: str):
     """A harness that finds nothing proves nothing."""
-    target = Target(fault, lambda seed: iter([b"x"] * 400), lambda: Reader(getattr(Bad(), fault)), 0.0)
+    target = Target(fault, lambda _: iter([b"x"] * 400), lambda: Reader(getattr(Bad(), fault)), 0.0)
     outcome = run(target, 400)
     assert [says in failure for failure in outcome.failures] == [True]
     assert harness.LIMIT_S == 0.002
