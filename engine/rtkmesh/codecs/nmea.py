@@ -3,7 +3,7 @@
 from math import hypot, isfinite, radians
 from typing import Final
 
-from rtkmesh.codecs.messages import DecodingCounters, Frame, Message, Protocol
+from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
 from rtkmesh.codecs.utc import from_utc, gps_day, microseconds
 from rtkmesh.gnss.constants import SECONDS_PER_DAY
 from rtkmesh.gnss.ephemeris import ReceiverFix
@@ -13,6 +13,7 @@ _FIX_OF_QUALITY: Final = {1: 3, 2: 4, 3: 3, 4: 6, 5: 5, 6: 1}
 _DECODED: Final = frozenset(("GGA", "GST", "RMC"))
 _DAY_US: Final = 86_400_000_000
 _NAN: Final = float("nan")
+_MAX_KINDS: Final = 1000  # sentences with a counter of their own
 
 
 class NmeaDecoder:
@@ -31,7 +32,8 @@ class NmeaDecoder:
         """Return the receiver's fix if this is a GGA sentence."""
         sentence = frame.kind[-3:]
         if sentence not in _DECODED:
-            self.counters.ignore(Protocol.NMEA, frame.kind)
+            known = len(self.counters.ignored) < _MAX_KINDS
+            self.counters.ignored[f"nmea/{frame.kind}" if known else "nmea/other"] += 1
             return []
         fields = frame.data[1 : frame.data.rfind(b"*")].decode("ascii", "replace").split(",")
         if sentence == "GGA":
