@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -156,6 +157,28 @@ def test_a_disk_that_stays_full_leaves_whole_frames(small_disk: Path):
     framer = Framer()
     assert sum(len(frame.data) for frame in framer.feed(data)) == len(data) > 40_000
     assert framer.pending == 0
+
+
+def test_a_disk_that_hangs_in_fsync_blocks_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The work loop takes frames while the writer waits for the disk; afterwards all of them are there."""
+    hanging, released, real = threading.Event(), threading.Event(), os.fsync
+
+    def fsync(descriptor: int) -> None:
+        hanging.set()
+        assert released.wait(10.0)
+        real(descriptor)
+
+    monkeypatch.setattr("rtkmesh_services.recorder.raw_log.os.fsync", fsync)
+    recorder = Recorder(tmp_path)
+    recorder.send(FRAMES[0])
+    assert hanging.wait(10.0)
+    for data in FRAMES[1:]:
+        recorder.send(data)
+    assert recorder.status().inputs[0].messages == len(FRAMES)
+    assert recorder.status().data["waiting_bytes"] == sum(map(len, FRAMES[1:]))
+    released.set()
+    recorder.life.finish()
+    assert content_of(tmp_path) == b"".join(FRAMES)
 
 
 def test_what_waits_for_a_disk_is_bounded_and_then_frames_are_lost_whole(tmp_path: Path):
