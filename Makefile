@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
+PIECES ?= 10000000
+GUIDED ?= 60
 READY := $(VENV)/.ready
 WARM := $(VENV)/.warm
 # The tests of kernels that run once more as plain Python: the same results without the compiler.
@@ -60,9 +62,12 @@ coverage: setup ## which lines the quick tests reach, kernels included (without 
 bench: setup ## accuracy and speed beside RTKLIB's on the recordings (RTKMESH_DATA)
 	$(BIN)/python benchmarks/run.py $(ARGS)
 
-fuzz: setup ## long runs of the property tests of everything that reads bytes
+fuzz: setup ## ten million hostile pieces, long runs of the property tests, and atheris where it is installed (PIECES=, GUIDED=seconds)
+	$(BIN)/python -m tests.fuzz.run --pieces $(PIECES)
 	RTKMESH_FUZZ=1 $(BIN)/python -m pytest -q -p no:randomly tests/codecs tests/services -k "any or damaged or random or split or corrupt" $(ARGS)
+	@$(BIN)/python -c 'import atheris' 2>/dev/null || { echo "no atheris: pip install --group fuzz for coverage-guided fuzzing" >&2; exit 0; } && \
+	for name in $$($(BIN)/python -m tests.fuzz.guided | tail -1); do $(BIN)/python -m tests.fuzz.guided $$name -max_total_time=$(GUIDED) -rss_limit_mb=2048 || exit 1; done
 
 clean: ## remove .venv and everything that was made
-	rm -rf $(VENV) .venv-ros .pytest_cache .ruff_cache .hypothesis .import_linter_cache .coverage htmlcov dist
+	rm -rf $(VENV) .venv-ros .pytest_cache .ruff_cache .hypothesis .import_linter_cache .coverage .fuzz htmlcov dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

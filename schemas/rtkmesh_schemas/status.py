@@ -27,6 +27,53 @@ class Level(StrEnum):
     ERROR = "error"
 
 
+class FrameFigures(Wire, frozen=True, kw_only=True):
+    """Whole frames of one kind: how many, how long ago the newest came, and how many come a second."""
+
+    count: int
+    age_s: float
+    per_s: float = 0.0
+
+
+class SignalStrength(Wire, frozen=True, kw_only=True):
+    """C/N0 over the signals of one frequency band of the newest epoch, dB-Hz."""
+
+    mean: float
+    minimum: float
+    count: int
+
+
+class ReferenceStatus(Wire, frozen=True, kw_only=True):
+    """Where a base stands. ``origin``: rtcm3, configuration ...; ``age_s``: since it was said last, None for a configured one."""
+
+    position_ecef_m: tuple[float, float, float]
+    origin: str = ""
+    station_id: int = 0
+    age_s: float | None = None
+
+
+class StreamStatus(Wire, frozen=True, kw_only=True):
+    """What a source of an ingest brings. Rates are over the last ten seconds.
+
+    ``frames`` by ``protocol/kind``; ``checksum_failures`` by protocol; ``refused``: frames or parts of them that could not be decoded,
+    by kind and reason; ``satellites`` by system, ``signals`` (system and RINEX code, as G1C) and ``cn0_dbhz`` by band are of the newest
+    epoch. At most 64 kinds and reasons are told one by one, the rest is ``other``.
+    """
+
+    bytes_per_s: float = 0.0
+    frames: dict[str, FrameFigures] = {}
+    checksum_failures: dict[str, int] = {}
+    bytes_skipped: int = 0
+    refused: dict[str, int] = {}
+    epochs: int = 0
+    epochs_per_s: float = 0.0
+    epoch_age_s: float | None = None
+    satellites: dict[str, int] = {}
+    signals: list[str] = []
+    cn0_dbhz: dict[str, SignalStrength] = {}
+    reference: ReferenceStatus | None = None
+
+
 class InputStatus(Wire, frozen=True, kw_only=True):
     """One input of a process: what it gives and how old it is."""
 
@@ -40,6 +87,7 @@ class InputStatus(Wire, frozen=True, kw_only=True):
     dropped: int = 0
     errors: int = 0
     counters: dict[str, int] = {}
+    stream: StreamStatus | None = None
 
 
 class Quantiles(Wire, frozen=True, kw_only=True):

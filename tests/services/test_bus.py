@@ -17,7 +17,7 @@ from rtkmesh_services.errors import BusError
 from rtkmesh_services.runtime.bus import Answer, Bus, Liveliness, Query, Sample, endpoints_for
 from rtkmesh_services.runtime.inbox import Inbox
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork, matches
-from rtkmesh_services.runtime.zenoh_bus import open_bus, open_router, router_config
+from rtkmesh_services.runtime.zenoh_bus import history_depth, open_bus, open_router, router_config
 
 Make = Callable[[str], Bus]
 
@@ -87,11 +87,13 @@ def test_a_message_arrives_with_encoding_attachment_and_time(make: Make):
 
 
 def test_cached_messages_come_to_late_joiners_up_to_their_depth(make: Make):
-    """History first, then what is new; plain subscribers get only the new."""
-    sender, late = make("a"), make("b")
+    """History first, then what is new; plain subscribers get only the new. Late is who joins after the hub has passed the messages on."""
+    sender, witness, late = make("a"), make("w"), make("b")
+    passed = attach(witness, sender, "rtk/a/eph/*")
     for number in range(3):
         sender.publish(EPH, f"G01 {number}", satellite="G01")
     sender.publish(EPH, "E05 0", satellite="E05")
+    assert [passed.get(5.0).payload for _ in range(4)][-1] == b"E05 0"
     inbox = attach(late, sender, "rtk/a/eph/*", history=True)
     plain = attach(late, sender, "rtk/a/eph/*")
     got = [inbox.get(5.0).payload.decode() for _ in range(3)]
@@ -99,6 +101,28 @@ def test_cached_messages_come_to_late_joiners_up_to_their_depth(make: Make):
     sender.publish(EPH, "G01 3", satellite="G01")
     assert inbox.get(5.0).payload == b"G01 3"
     assert plain.get(5.0).payload == b"G01 3"
+
+
+def test_a_joiner_misses_nothing_of_the_depth_while_messages_are_on_their_way(make: Make):
+    """Who joins while messages travel gets the newest of the depth, and what reaches it live: no gap, no message twice, all in order."""
+    sender, joiner = make("a"), make("b")
+    for number in range(3):
+        sender.publish(EPH, f"{number}", satellite="G01")
+    inbox = attach(joiner, sender, "rtk/a/eph/*", history=True)
+    sender.publish(EPH, "3", satellite="G01")
+    got: list[int] = []
+    while not got or got[-1] != 3:
+        got.append(int(inbox.get(5.0).payload))
+    assert got in ([2, 3], [1, 2, 3], [0, 1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("expression", "depth"),
+    [("rtk/a/eph/*", 2), ("rtk/*/status", 1), ("rtk/a/ref", 1), ("rtk/a/event/*", 100), ("rtk/a/obs", 1), ("rtk/**", 100), ("rtk/a/*", 2)],
+)
+def test_history_is_asked_for_to_the_depth_of_what_is_reached(expression: str, depth: int):
+    """Zenoh holds back as many live messages as history was asked for: none means that history comes too late."""
+    assert history_depth(expression) == depth
 
 
 def test_a_closed_subscription_is_silent(make: Make):

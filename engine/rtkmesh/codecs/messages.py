@@ -7,7 +7,7 @@ what a peer sent, and it never confuses the last two.
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 from typing import Protocol as Interface
 
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, KlobucharParameters, ReceiverFix, ReferenceStation
@@ -52,6 +52,9 @@ class FramingCounters:
     bytes_skipped: int = 0
 
 
+MAX_IGNORED_KINDS: Final = 1000  # that get a counter of their own
+
+
 @dataclass(slots=True)
 class DecodingCounters:
     """What a decoder saw: epochs, frames understood, not understood and rejected, each by ``protocol/kind`` (and reason)."""
@@ -60,6 +63,11 @@ class DecodingCounters:
     decoded: Counter[str] = field(default_factory=Counter[str])
     ignored: Counter[str] = field(default_factory=Counter[str])
     rejected: Counter[str] = field(default_factory=Counter[str])
+
+    def ignore(self, protocol: Protocol, kind: str) -> None:
+        """Count a frame that is not understood (the odd kinds share a counter: a hostile stream must not fill memory)."""
+        name = f"{protocol}/{kind}"
+        self.ignored[name if name in self.ignored or len(self.ignored) < MAX_IGNORED_KINDS else f"{protocol}/other"] += 1
 
 
 class Decoder(Interface):

@@ -5,6 +5,7 @@ receiver's own epochs) or, until then, from messages that carry a full date (Gal
 sets wait for it. When the caller's time is first known or jumps by more than an hour, all complete sets are dated anew.
 """
 
+from collections import deque
 from dataclasses import fields
 from operator import attrgetter
 from typing import Final
@@ -48,6 +49,7 @@ from rtkmesh.gnss.time import GpsTime
 
 NavigationData = Ephemeris | KlobucharParameters
 
+_AT_ONCE: Final = 24  # satellites that a jump of the time costs at once (about 50 us each)
 _TIME_JUMP_S: Final = 3600.0
 _GLONASS_INTERVAL_S: Final = 900.0 - 60.0  # the time of reception is known to some seconds
 _GLONASS_FRAME_S: Final = 30.0
@@ -75,6 +77,7 @@ class NavigationDecoder:
         self.now = (NO_CLOCK, 0, 0.0)
         self._time: GpsTime | None = None
         self._messages: dict[int, int] = {}  # by satellite, in the order of their first blocks
+        self._unsettled: deque[int] = deque()  # satellites whose blocks a new time has still to be applied to
         self._published: dict[int, Ephemeris] = {}  # by satellite
         self._ionosphere: dict[int, KlobucharParameters] = {}  # by system: published last
         self._ionosphere_of: dict[int, KlobucharParameters] = {}  # by satellite: said last
@@ -91,11 +94,18 @@ class NavigationDecoder:
         known = self._time if self.now[0] == GIVEN_CLOCK else None
         self._set(time, GIVEN_CLOCK)
         if known is not None and abs(time - known) < _TIME_JUMP_S:
-            return []
-        found: list[NavigationData] = []
-        for satellite, message in self._messages.items():
+            return self._publish_unsettled() if self._unsettled else []
+        for satellite in self._messages:
             self.satellites[satellite]["settled"] = 0
-            found += self._publish(satellite, message)
+        self._unsettled = deque(self._messages)
+        return self._publish_unsettled()
+
+    def _publish_unsettled(self) -> list[NavigationData]:
+        """Publish what some of the satellites that wait for a time give: a frame with a wrong time must not cost all of them at once."""
+        found: list[NavigationData] = []
+        for _ in range(min(_AT_ONCE, len(self._unsettled))):
+            satellite = self._unsettled.popleft()
+            found += self._publish(satellite, self._messages[satellite])
         return found
 
     def take(self, satellite: int, message: int, words: Words, channel: int = 0, frame: int = 0) -> list[NavigationData] | Refusal:

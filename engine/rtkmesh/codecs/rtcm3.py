@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.codecs import rtcm3_legacy, rtcm3_station
-from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
+from rtkmesh.codecs.messages import DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS as EPHEMERIDES
 from rtkmesh.codecs.rtcm3_ephemeris import EphemerisDecoder
 from rtkmesh.codecs.rtcm3_epochs import EpochGatherer
@@ -84,7 +84,7 @@ class Rtcm3Decoder:
             return self._ephemeris(payload, number, kind)
         if number in rtcm3_station.NUMBERS:
             return self._station(payload, number, kind)
-        self.counters.ignored[f"{kind} {known_name(number)}".rstrip()] += 1
+        self.counters.ignore(Protocol.RTCM3, f"{number} {known_name(number)}".rstrip())
         return []
 
     def _is_of_another_station(self, payload: bytes, number: int) -> bool:

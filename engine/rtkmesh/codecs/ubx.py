@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
+from rtkmesh.codecs.messages import DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.navigation import NavigationDecoder
 from rtkmesh.codecs.navigation_words import QUIET, REFUSALS
 from rtkmesh.codecs.ubx_observations import MEASUREMENT, ROW_BYTES, new_slip_state, rawx_columns
@@ -58,7 +58,7 @@ class UbxDecoder:
         elif kind in READERS:
             found = self._report(kind, frame.data)
         else:
-            self.counters.ignored[f"ubx/{kind}"] += 1
+            self.counters.ignore(Protocol.UBX, kind)
             return []
         if isinstance(found, str):
             self.counters.rejected[f"ubx/{kind} {found}"] += 1

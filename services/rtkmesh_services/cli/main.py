@@ -32,6 +32,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "ports": ("rtkmesh_services.cli.ports:app", "Show the serial ports, and who is behind them."),
     "base": ("rtkmesh_services.cli.base:app", "Show, save and forget the positions of base stations of this host."),
     "ntrip": ("rtkmesh_services.cli.ntrip:app", "Ask a caster: which mount points it has, and which is nearest."),
+    "recover": ("rtkmesh_services.cli.recover:app", "Repair raw logs after a crash or a power cut; the originals stay."),
     "warm": ("rtkmesh_services.cli.warm:app", "Compile the engine's kernels into the cache."),
     "keys": ("rtkmesh_services.cli.show:keys_app", "Print the table of keys."),
     "schema": ("rtkmesh_services.cli.show:schema_app", "Print the JSON Schema of a message or of the deployment file."),

@@ -30,6 +30,8 @@ _COLOURS = {
 
 
 def status(
+    id_: Annotated[str, Parameter(name="ID", help="One process: all that it tells, of a receiver's sources too.")] = "*",
+    /,
     *,
     watch: Annotated[bool, Parameter(name=["--watch", "-w"], negative="", help="Show it again every second until Ctrl-C.")] = False,
     timeout: Annotated[float, Parameter(help="Seconds until a silent process counts as hung.")] = 1.0,
@@ -37,7 +39,7 @@ def status(
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
 ) -> int:
-    """Show the state of all processes of a running network, also of those that are there and do not answer.
+    """Show the state of all processes of a running network, also of those that are there and do not answer. With ID: one in full.
 
     Exit codes: 0 all well, 1 a process has failed or does not answer, 3 no network or nobody on it.
     """
@@ -45,13 +47,13 @@ def status(
 
     with reach(connect, namespace) as bus:
         while True:
-            replies = call(bus, "*", "status", {}, timeout)
+            replies = call(bus, id_, "status", {}, timeout)
             if as_json:
                 rows = [*map(_row, replies), *unanswering(replies)]
                 sys.stdout.write(msgspec.json.encode(rows).decode() + "\n")
                 sys.stdout.flush()
             else:
-                show_status(replies, watch=watch)
+                show_status(replies, watch=watch, details=id_ != "*")
             if not watch:
                 return status_exit_code(replies)
             time.sleep(1.0)
@@ -88,14 +90,18 @@ def status_exit_code(replies: list[Reply]) -> int:
     return EXIT_OK if well and all(row["state"] != State.FAILED for row in unanswering(replies)) else EXIT_FAILED
 
 
-def show_status(replies: list[Reply], *, watch: bool = False) -> None:
-    """Print the table; with ``watch`` on an empty screen."""
+def show_status(replies: list[Reply], *, watch: bool = False, details: bool = False) -> None:
+    """Print the table, with ``details`` what processes tell of their sources too; with ``watch`` on an empty screen."""
     from rich.console import Console
+
+    from rtkmesh_services.cli.receivers import source_details
 
     console = Console() if sys.stdout.isatty() else Console(width=_WIDE)
     if watch and console.is_terminal:
         console.clear()
     console.print(_table(replies) if replies else "the hub answers, but no process is on the network")
+    for found in filter(None, map(status_of, replies) if details else ()):
+        console.print(source_details(found))
 
 
 def _table(replies: list[Reply]) -> "Table":
@@ -151,6 +157,7 @@ app = command_page(
     status,
     """
     rtkmesh status
+    rtkmesh status rover
     rtkmesh status --watch
     rtkmesh status --json --connect tcp/192.168.1.20:7547
     """,

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from rich.box import SIMPLE_HEAD
-from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -17,45 +15,12 @@ from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import ServiceStatus, State
 from rtkmesh_services.cli.board import Board, Track
+from rtkmesh_services.cli.columns import FREE_TEXT, WIDE, Column, cells, coloured, fitted_table, number
+from rtkmesh_services.cli.receivers import receiver_table, source_words
 
 REFRESH_HZ: Final = 4.0
 SILENT_S: Final = 3.0
-_COLOURS: Final = {
-    "FIX": "bold green",
-    "FLOAT": "yellow",
-    "DGPS": "cyan",
-    "SINGLE": "blue",
-    "NONE": "red",
-    "RUNNING": "green",
-    "STARTING": "cyan",
-    "WARMING": "cyan",
-    "STOPPING": "cyan",
-    "WAITING": "yellow",
-    "DEGRADED": "yellow",
-    "STALE": "yellow",
-    "FAILED": "bold red",
-    "STOPPED": "dim",
-    "ok": "green",
-    "failed": "bold red",
-    "unavailable": "dim",
-}
 _DIAGONAL: Final = (0, 4, 8)  # of a row-major 3x3
-_WIDE: Final = 200
-_FREE_TEXT, _FREE_TEXT_WIDTH = "says", 24
-_GAP, _EDGES = 3, -1  # what rich's SIMPLE_HEAD puts between two columns, and around all of them when each is given one gap
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A column of a table. Those of the highest ``rank`` go first when the terminal is too narrow.
-
-    ``least`` is its usual width, so that columns do not come and go with every digit.
-    """
-
-    name: str
-    rank: int = 0
-    right: bool = False
-    least: int = 0
 
 
 _SOLUTIONS: Final = (
@@ -87,7 +52,7 @@ _PROCESSES: Final = (
     Column("pid", 6, right=True),
     Column("restarts", 4, right=True),
     Column("up s", 5, right=True),
-    Column(_FREE_TEXT, 2),
+    Column(FREE_TEXT, 2),
 )
 
 
@@ -109,7 +74,7 @@ class View:
     processes: Callable[[], list[dict[str, Any]]] | None = None
     note: Callable[[], str] | None = None
     started_s: float = field(default_factory=time.monotonic)
-    width: int = _WIDE
+    width: int = WIDE
 
     def render(self) -> RenderableType:
         """Return the whole picture of this moment."""
@@ -119,6 +84,8 @@ class View:
             parts.append(solution_table(self.board.solutions, now_ns, self.truth, self.width))
         if self.board.attitudes:
             parts.append(attitude_table(self.board.attitudes, now_ns, self.truth, self.width))
+        if receivers := receiver_table(self.board.statuses, now_ns, self.width):
+            parts.append(receivers)
         rows = self.processes() if self.processes is not None else None
         parts.append(process_table(rows if rows is not None else supervised(self.board), self.board.statuses, now_ns, self.width))
         return Group(*parts)
@@ -159,57 +126,57 @@ class Display:
         self._live.stop()
 
 
-def solution_table(tracks: Mapping[str, Track[SolutionMessage]], now_ns: int, truth: Truth | None = None, width: int = _WIDE) -> Table:
+def solution_table(tracks: Mapping[str, Track[SolutionMessage]], now_ns: int, truth: Truth | None = None, width: int = WIDE) -> Table:
     """Return the table of the solvers: moving baselines show the baseline, all others the position."""
     rows: list[list[Text]] = []
     for id_, track in sorted(tracks.items()):
         message = track.newest
-        cells = _cells(
+        row = cells(
             id_,
             _state(message.status_name, track, now_ns),
             _place(message),
             _pair(*_sigma(message)),
             coloured(message.integrity),
             _pair(message.protection_horizontal_m, message.protection_vertical_m),
-            _number(message.age_s, 1),
-            _number(message.ratio, 1),
+            number(message.age_s, 1),
+            number(message.ratio, 1),
             f"{message.satellites_used}/{message.satellites_rover}",
             _latency(track, now_ns),
         )
         if truth:
             error = truth.position(id_, message)
-            cells += _cells("-" if error is None else " ".join(f"{part:+.3f}" for part in error))
-        rows.append(cells)
-    return _table([*_SOLUTIONS, *([Column("error E, N, U m", 2, right=True, least=20)] if truth else [])], rows, width)
+            row += cells("-" if error is None else " ".join(f"{part:+.3f}" for part in error))
+        rows.append(row)
+    return fitted_table([*_SOLUTIONS, *([Column("error E, N, U m", 2, right=True, least=20)] if truth else [])], rows, width)
 
 
-def attitude_table(tracks: Mapping[str, Track[AttitudeMessage]], now_ns: int, truth: Truth | None = None, width: int = _WIDE) -> Table:
+def attitude_table(tracks: Mapping[str, Track[AttitudeMessage]], now_ns: int, truth: Truth | None = None, width: int = WIDE) -> Table:
     """Return the table of the headings."""
     rows: list[list[Text]] = []
     for id_, track in sorted(tracks.items()):
         message = track.newest
         sigmas = [math.degrees(math.sqrt(message.covariance_rad2[i])) if message.covariance_rad2[i] >= 0.0 else math.nan for i in _DIAGONAL]
-        cells = _cells(
+        row = cells(
             id_,
             _state(message.status_name, track, now_ns),
             coloured(message.integrity),
-            f"{_number(math.degrees(message.heading_rad), 2)} ± {_number(sigmas[0], 2)}",
-            f"{_number(math.degrees(message.pitch_rad), 2)} ± {_number(sigmas[1], 2)}",
-            _number(message.length_error_m, 3),
+            f"{number(math.degrees(message.heading_rad), 2)} ± {number(sigmas[0], 2)}",
+            f"{number(math.degrees(message.pitch_rad), 2)} ± {number(sigmas[1], 2)}",
+            number(message.length_error_m, 3),
             _latency(track, now_ns),
         )
         if truth:
             error = truth.heading(id_, message)
-            cells += _cells("-" if error is None else f"{error:+.2f}")
-        rows.append(cells)
-    return _table([*_ATTITUDES, *([Column("error deg", 2, right=True)] if truth else [])], rows, width)
+            row += cells("-" if error is None else f"{error:+.2f}")
+        rows.append(row)
+    return fitted_table([*_ATTITUDES, *([Column("error deg", 2, right=True)] if truth else [])], rows, width)
 
 
 def process_table(
-    rows: Iterable[Mapping[str, Any]], statuses: Mapping[str, tuple[ServiceStatus, int]], now_ns: int, width: int = _WIDE
+    rows: Iterable[Mapping[str, Any]], statuses: Mapping[str, tuple[ServiceStatus, int]], now_ns: int, width: int = WIDE
 ) -> Table:
     """Return the table of the processes: what control knows of them and what they say themselves."""
-    return _table(list(_PROCESSES), [_process_cells(row, statuses.get(row["id"]), now_ns) for row in rows], width)
+    return fitted_table(list(_PROCESSES), [_process_cells(row, statuses.get(row["id"]), now_ns) for row in rows], width)
 
 
 def _process_cells(row: Mapping[str, Any], heard: tuple[ServiceStatus, int] | None, now_ns: int) -> list[Text]:
@@ -219,7 +186,7 @@ def _process_cells(row: Mapping[str, Any], heard: tuple[ServiceStatus, int] | No
         word = coloured(str(status.state)) if age_s <= SILENT_S else Text(f"silent {age_s:.0f} s", style="yellow")
         says = says or status.reason or _inputs(status)
     up_s, pid = f"{row['uptime_s']:.0f}", str(row["pid"] or "-")
-    return _cells(row["id"], row["role"], coloured(row["state"]), word, pid, str(row["restarts"]), up_s, says)
+    return cells(row["id"], row["role"], coloured(row["state"]), word, pid, str(row["restarts"]), up_s, says)
 
 
 def supervised(board: Board) -> list[dict[str, Any]]:
@@ -239,11 +206,6 @@ def supervised(board: Board) -> list[dict[str, Any]]:
     return rows
 
 
-def coloured(word: str) -> Text:
-    """Return a state's word in its colour."""
-    return Text(word, style=_COLOURS.get(word, ""))
-
-
 def horizontal_sigma(cov_enu_m2: tuple[float, ...]) -> tuple[float, float]:
     """Return (horizontal, vertical) standard deviation of a row-major ENU covariance, metres; NaN if unknown."""
     horizontal, vertical = cov_enu_m2[0] + cov_enu_m2[4], cov_enu_m2[8]
@@ -258,7 +220,7 @@ def _place(message: SolutionMessage) -> str:
     if message.mode == "moving-base":
         length_m = math.sqrt(sum(part * part for part in message.baseline_enu_m))
         parts = (f"{name}{_signed(part)}" for name, part in zip("ENU", message.baseline_enu_m, strict=True))
-        return f"{_number(length_m, 3)} m  {' '.join(parts)}"
+        return f"{number(length_m, 3)} m  {' '.join(parts)}"
     if not math.isfinite(message.lat_deg):
         return message.reason or "-"
     return f"{message.lat_deg:.8f} {message.lon_deg:.8f} {message.height_m:.3f}"
@@ -275,11 +237,7 @@ def _latency(track: Track[Any], now_ns: int) -> str:
 
 
 def _inputs(status: ServiceStatus) -> str:
-    return ", ".join(f"{row.name} {row.state}" for row in status.inputs)
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:z.{digits}f}" if math.isfinite(value) else "-"
+    return ", ".join(source_words(row) for row in status.inputs)
 
 
 def _signed(value: float) -> str:
@@ -287,42 +245,11 @@ def _signed(value: float) -> str:
 
 
 def _pair(first: float, second: float) -> str:
-    return f"{_number(first, 3)} {_number(second, 3)}"
-
-
-def _cells(*cells: str | Text) -> list[Text]:
-    return [cell if isinstance(cell, Text) else Text(cell) for cell in cells]
-
-
-def _table(columns: list[Column], rows: list[list[Text]], width: int) -> Table:
-    """Return a table of the columns that fit; free text at its end is cut to what is left."""
-    width -= _EDGES
-    widths = [max([column.least, cell_len(column.name), *(row[i].cell_len for row in rows)]) + _GAP for i, column in enumerate(columns)]
-    if columns[-1].name == _FREE_TEXT:
-        widths[-1] = min(widths[-1], _FREE_TEXT_WIDTH)
-    kept = list(range(len(columns)))
-    for i in sorted(kept, key=lambda i: -columns[i].rank):
-        if columns[i].rank and sum(widths[k] for k in kept) > width:
-            kept.remove(i)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="dim")
-    for i in kept:
-        column = columns[i]
-        free = column.name == _FREE_TEXT
-        room = max(widths[i], width - sum(widths[k] for k in kept if k != i)) - _GAP
-        table.add_column(
-            column.name,
-            justify="right" if column.right else "left",
-            no_wrap=True,
-            min_width=None if free else widths[i] - _GAP,
-            max_width=room,
-        )
-    for row in rows:
-        table.add_row(*(row[i] for i in kept))
-    return table
+    return f"{number(first, 3)} {number(second, 3)}"
 
 
 def once(view: View) -> None:
     """Print the picture of this moment, in full width."""
     console = Console()
-    view.width = console.width if console.is_terminal else _WIDE
+    view.width = console.width if console.is_terminal else WIDE
     Console(width=view.width).print(view.render())

@@ -12,10 +12,12 @@ from rtkmesh_schemas.status import InputStatus
 from rtkmesh_services.ingest.commands import ReceiverCommands
 from rtkmesh_services.ingest.corrections import CorrectionQueue
 from rtkmesh_services.ingest.failover import Failover
+from rtkmesh_services.ingest.figures import SourceFigures, told
 from rtkmesh_services.ingest.followed import FollowedIngest
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState, Sink
 from rtkmesh_services.ingest.ntrip_source import FindPlace
 from rtkmesh_services.ingest.replay import Simulation
+from rtkmesh_services.ingest.stream import Position
 from rtkmesh_services.ingest.urls import SourceUrl
 from rtkmesh_services.runtime.bus import Bus
 from rtkmesh_services.runtime.clock import Clock
@@ -51,6 +53,7 @@ class SimulatedLink:
 class _Source:
     url: SourceUrl
     decoder: StreamDecoder
+    figures: SourceFigures
     link: Link | SimulatedLink | FollowedIngest | None = None
     last: Link | None = None
     state: str = NOT_OPEN
@@ -78,10 +81,11 @@ class LiveSources:
         commands: ReceiverCommands,
         bus: Bus,
         corrections: CorrectionQueue | None = None,
+        known: Position | None = None,
     ) -> None:
         self._commands, self._corrections, self._bus = commands, corrections, bus
         self._new_decoder, self._sink, self._failover, self._find_place, self._clock = new_decoder, sink, failover, find_place, clock
-        self._sources = [_Source(url, new_decoder(url)) for url in urls]
+        self._sources = [_Source(url, new_decoder(url), SourceFigures(known)) for url in urls]
 
     @property
     def active(self) -> int:
@@ -126,6 +130,7 @@ class LiveSources:
             return [], False
         source.bytes, source.heard_ns = source.bytes + len(chunk.data), chunk.mono_ns
         frames = source.decoder.feed(chunk.data)
+        source.figures.chunk(chunk, frames)
         source.unframed = 0 if frames else source.unframed + len(chunk.data)
         switched = bool(frames) and self._failover.heard(chunk.source, chunk.mono_ns * 1e-9)
         if switched:
@@ -202,6 +207,7 @@ class LiveSources:
             age_s=None if source.heard_ns is None else (now_ns - source.heard_ns) * 1e-9,
             errors=framing.checksum_failures.total() + decoding.rejected.total(),
             counters=counters_of(framing, decoding),
+            stream=source.figures.status(now_ns, framing, decoding),
         )
 
     def _close(self, source: _Source, wait_s: float = 0.0) -> None:
@@ -213,7 +219,7 @@ class LiveSources:
 
 def counters_of(framing: FramingCounters, decoding: DecodingCounters) -> dict[str, int]:
     """Return whole frames by kind and what was rejected of them."""
-    return {**framing.frames, **{f"rejected {name}": count for name, count in decoding.rejected.items()}}
+    return {**told(framing.frames), **{f"rejected {name}": count for name, count in told(decoding.rejected).items()}}
 
 
 def _remember(source: _Source, frames: list[tuple[Frame, list[Message]]]) -> None:

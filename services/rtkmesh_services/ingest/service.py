@@ -24,6 +24,7 @@ from rtkmesh_services.ingest.commands import commands_of
 from rtkmesh_services.ingest.credit import CreditGate
 from rtkmesh_services.ingest.dialogue import Dialogue
 from rtkmesh_services.ingest.failover import Failover
+from rtkmesh_services.ingest.figures import SourceFigures
 from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
 from rtkmesh_services.ingest.live import LiveSources, counters_of
 from rtkmesh_services.ingest.receiver_state import ReceiverState
@@ -61,6 +62,7 @@ class IngestService(Service):
         self._dialogue = Dialogue(context, self._table, self._say, self._publisher.stand_at)
         self._live = None if self._table.replay else self._live_sources()
         self._replayed = LinkReport(LinkState.CONNECTING)
+        self._figures = SourceFigures(known_position(self._table))  # of a replay
         self._recording: Recording | None = None
         self._stop_source = threading.Event()
         self._bytes = self._errors = self._writes = self._writes_lost = 0
@@ -162,10 +164,10 @@ class IngestService(Service):
         failover = Failover(len(urls), table.fallback_after_s, table.return_after_s, now_s)
         commands = commands_of(table, self.context.config_folder)
         find_place = self._rover_place if solvers_to_ask(self.context) else None
-        corrections = self._dialogue.corrections
         return LiveSources(
-            urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands, self.context.bus, corrections
-        )
+            urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands, self.context.bus,
+            self._dialogue.corrections, known_position(table),
+        )  # fmt: skip
 
     def _now_s(self) -> float:
         return self.context.clock.mono_ns() * 1e-9
@@ -247,8 +249,10 @@ class IngestService(Service):
         self._heard_ns = played.mono_ns
         if isinstance(played.item, Frame):
             self._bytes += len(played.item.data)
+            self._figures.replayed(played.item, played.mono_ns)
             self._publisher.frame(played.item, played.mono_ns)
         else:
+            self._figures.message(played.item, played.mono_ns)
             self._publish(played.item, played.mono_ns)
 
     def _publish(self, message: Message, mono_ns: int) -> None:
@@ -320,6 +324,7 @@ class IngestService(Service):
             age_s=(now_ns - self._heard_ns) * 1e-9 if self._bytes else None,
             errors=framing.checksum_failures.total() + decoding.rejected.total(),
             counters=counters_of(framing, decoding),
+            stream=self._figures.status(now_ns, framing, decoding),
         )
 
     def _health(self, age_s: float) -> tuple[State, str]:

@@ -1,90 +1,29 @@
 """The recorder role: raw logs of receivers, append-only, one new file per receiver, protocol and start; never overwritten.
 
-A log holds the frames as they came. Beside it, ``.times`` holds one line per frame: sequence, UTC ns, monotonic ns, bytes.
+A log holds the frames as they came. Beside it, ``.times`` holds one line per frame: sequence, UTC ns, monotonic ns, bytes. Where the disk
+is full, recording stops between two frames and goes on when there is room; positioning knows nothing of it.
 """
 
-import struct
 from collections import Counter
-from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from io import BufferedWriter
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from rtkmesh_schemas.config import RecorderTable
 from rtkmesh_schemas.keys import RAW, Role
 from rtkmesh_schemas.status import InputStatus, Level, State
+from rtkmesh_services.recorder.raw_log import RawLog
+from rtkmesh_services.recorder.writer import LogWriter
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.path_keywords import expanded, swap_number
 from rtkmesh_services.runtime.service import Context, Report, Service
-from rtkmesh_services.runtime.time_tags import TagWriter
 
-FLUSH_NS = 500_000_000  # at most this much is lost on a power cut
-_ATTACHMENT = struct.Struct("<QqQ")
-
-
-@dataclass(slots=True)
-class RawLog:
-    """One open log with its times."""
-
-    path: Path
-    data: BufferedWriter
-    times: BufferedWriter
-    tag: BufferedWriter | None = None
-    number: int = 0
-    size: int = 0
-    frames: int = 0
-    _tags: TagWriter | None = None
-
-    @staticmethod
-    def create(folder: Path, name: str, protocol: str, started: datetime, *, tags: bool = False) -> "RawLog":
-        """Open a log under a name that does not exist yet."""
-        folder.mkdir(parents=True, exist_ok=True)
-        stem = f"{name}-{started:%Y%m%dT%H%M%SZ}"
-        for number in range(1000):
-            path = folder / f"{stem}{f'-{number}' if number else ''}.{protocol}"
-            with suppress(FileExistsError):
-                data = path.open("xb")
-                times, tag = (path.with_name(path.name + ending) for ending in (".times", ".tag"))
-                return RawLog(path, data, times.open("xb"), tag.open("xb") if tags else None)
-        raise OSError(f"{folder}: no free name for {stem}.{protocol}")
-
-    def write(self, payload: bytes, attachment: bytes | None) -> None:
-        """Append one frame."""
-        self.data.write(payload)
-        if attachment is not None and len(attachment) == _ATTACHMENT.size:
-            sequence, utc_ns, mono_ns = _ATTACHMENT.unpack(attachment)
-            self.times.write(b"%d %d %d %d\n" % (sequence, utc_ns, mono_ns, len(payload)))
-            self._tag(utc_ns, mono_ns, self.size + len(payload))
-        self.size += len(payload)
-        self.frames += 1
-
-    def flush(self) -> None:
-        """Hand everything to the operating system."""
-        for file in self._files():
-            file.flush()
-
-    def close(self) -> None:
-        """Close both files; what a full disk refuses is gone, the rest stays."""
-        for file in self._files():
-            with suppress(OSError):
-                file.close()
-
-    def _tag(self, utc_ns: int, mono_ns: int, size: int) -> None:
-        if self.tag is None:
-            return
-        if self._tags is None:
-            self._tags = TagWriter(utc_ns, mono_ns)
-            self.tag.write(self._tags.header)
-        self.tag.write(self._tags.record(mono_ns, size))
-
-    def _files(self) -> list[BufferedWriter]:
-        return [self.data, self.times, *([self.tag] if self.tag is not None else [])]
+AGAIN_NS: Final = 1_000_000_000  # after which a file that could not be made is tried again
+CLOSE_S: Final = 0.9
 
 
 class RecorderService(Service):
-    """Writes raw frames to files."""
+    """Gives raw frames to logs; a thread writes them."""
 
     role: ClassVar[Role] = Role.RECORDER
 
@@ -92,36 +31,42 @@ class RecorderService(Service):
         super().__init__(context)
         self._table: RecorderTable = context.deployment.recorder[context.id]
         self._logs: dict[tuple[str, str], RawLog] = {}
+        self._writer = LogWriter()
         self._lost: Counter[str] = Counter()
+        self._lost_before = 0  # of all receivers, when the present fault began
+        self._no_file, self._again_ns = "", 0
         self._error = ""
-        self._flushed_ns = 0
 
     def open(self) -> None:
         """Subscribe to the receivers' frames."""
+        self._writer.start()
         for name in self._table.receivers or tuple(self.context.deployment.ingest):
             self.context.subscribe(RAW.key(name, protocol="*"), lane="raw")
 
     def handle(self, item: Any) -> None:
-        """Write one frame."""
+        """Take one frame."""
         if not isinstance(item, Sample):
             return
         _, name, _, protocol = item.key.split("/")
-        try:
-            log = self._current(name, protocol)
-            log.write(item.payload, item.attachment)
-            self._recovered()
-        except OSError as error:
-            self._failed(name, error)
+        log = self._current(name, protocol)
+        if log is None or not log.append(item.payload, item.attachment):
+            self._lost[name] += 1
 
-    def tick(self, now_mono_ns: int) -> None:
-        """Flush regularly."""
-        if now_mono_ns - self._flushed_ns >= FLUSH_NS:
-            self._flushed_ns = now_mono_ns
-            try:
-                for log in self._logs.values():
-                    log.flush()
-            except OSError as error:
-                self._failed("", error)
+    def tick(self, now_mono_ns: int) -> None:  # noqa: ARG002  the hook's form
+        """Go on in new files where the old ones may not grow, and tell when the disk refuses or takes again."""
+        for (name, protocol), log in list(self._logs.items()):
+            if log in self._writer.full:
+                self._create(name, protocol, log.number)
+        fault = self._no_file or self._writer.fault
+        if fault and not self._error:
+            self._error, self._lost_before = f"cannot write: {fault}", self._lost.total()
+            self.context.event(Level.ERROR, "recording_failed", self._error, logged=False)
+        elif self._error and not fault:
+            self._error = ""
+            lost = self._lost.total() - self._lost_before
+            self.context.event(
+                Level.INFO, "recording", f"writing again; {lost} frames were lost" if lost else "writing again; nothing was lost"
+            )
 
     def report(self) -> Report:
         """Tell the files and what was lost."""
@@ -129,46 +74,50 @@ class RecorderService(Service):
             state=State.DEGRADED if self._error else State.RUNNING,
             reason=self._error,
             inputs=[
-                InputStatus(name=f"{name}/{protocol}", state="recording", detail=str(log.path), messages=log.frames, bytes=log.size)
+                InputStatus(
+                    name=f"{name}/{protocol}",
+                    state="waiting for the disk" if self._error else "recording",
+                    detail=str(log.path),
+                    messages=log.frames,
+                    bytes=log.size,
+                    lost=self._lost[name],
+                )
                 for (name, protocol), log in self._logs.items()
             ],
             counters={f"lost_{name}": count for name, count in self._lost.items()},
+            data={"waiting_bytes": sum(log.pending for log in self._logs.values())},
         )
 
     def close(self) -> None:
-        """Close all files."""
-        for log in self._logs.values():
-            log.close()
+        """Write everything out and close all files."""
+        if not self._writer.close(CLOSE_S):
+            self.context.log.warning("the disk is slow: a power cut now would cost the end of the recording")
+        if self._writer.lost:
+            self.context.log.error("%d frames at the end were not written: %s", self._writer.lost, self._writer.fault)
 
-    def _current(self, name: str, protocol: str) -> RawLog:
-        """Return the open log, a new one when it is time for it."""
+    def _current(self, name: str, protocol: str) -> RawLog | None:
+        """Return the open log, a new one when it is time for it; None when none can be made."""
         log = self._logs.get((name, protocol))
         number = swap_number(self.context.clock.utc_ns(), self._table.swap_hours)
         if log is not None and log.number == number:
             return log
-        if log is not None:
-            log.close()
         return self._create(name, protocol, number)
 
-    def _create(self, name: str, protocol: str, number: int) -> RawLog:
-        utc_ns = self.context.clock.utc_ns()
+    def _create(self, name: str, protocol: str, number: int) -> RawLog | None:
+        now_ns, utc_ns = self.context.clock.mono_ns(), self.context.clock.utc_ns()
+        if self._no_file and now_ns < self._again_ns:
+            return None
         folder, started = Path(expanded(self._table.folder, utc_ns)), datetime.fromtimestamp(utc_ns * 1e-9, UTC)
-        log = self._logs[name, protocol] = RawLog.create(folder, name, protocol, started, tags=self._table.tags)
-        log.number = number
+        try:
+            log = RawLog.create(folder, name, protocol, started, number, tags=self._table.tags)
+        except OSError as error:
+            self._no_file, self._again_ns = f"{folder}: {error.strerror or error}", now_ns + AGAIN_NS
+            return None
+        self._no_file = ""
+        self._writer.take(log, self._logs.get((name, protocol)))
+        self._logs[name, protocol] = log
         self.context.event(Level.INFO, "recording", f"recording {name} to {log.path}")
         return log
-
-    def _failed(self, name: str, error: OSError) -> None:
-        if name:
-            self._lost[name] += 1
-        if not self._error:
-            self._error = f"cannot write: {error}"
-            self.context.event(Level.ERROR, "recording_failed", self._error)
-
-    def _recovered(self) -> None:
-        if self._error:
-            self._error = ""
-            self.context.event(Level.INFO, "recording", "writing again")
 
 
 def create(context: Context) -> Service:

@@ -19,7 +19,7 @@ import zenoh
 import zenoh.ext
 from zenoh.handlers import Callback
 
-from rtkmesh_schemas.keys import LIVE, Kind, Priority, Stream, live_key
+from rtkmesh_schemas.keys import LIVE, STREAMS, Kind, Priority, Stream, live_key
 from rtkmesh_schemas.wire import MAXIMUM_BYTES
 from rtkmesh_services.errors import BusError, UnreachableError
 from rtkmesh_services.runtime.bus import Answer, Bus, Handle, Liveliness, Query, Sample, guarded, live_of
@@ -81,6 +81,16 @@ def router_config(*, listen: Sequence[str], connect: Sequence[str] = (), namespa
     config.insert_json5("low_pass_filter", json.dumps([limit]))
     config.insert_json5("adminspace", json.dumps({"enabled": True, "permissions": {"read": True, "write": False}}))
     return config
+
+
+def history_depth(expression: str) -> int:
+    """Return how many messages of a key a subscription with history asks for: the deepest cache among the streams that it reaches.
+
+    It also says how many live messages Zenoh holds back while the history is on its way. Without it, it holds back none, and the
+    first live message makes it refuse all history of that key as old.
+    """
+    wanted = zenoh.KeyExpr(expression)
+    return max((stream.cache for stream in STREAMS if stream.cache and wanted.intersects(stream.expression())), default=1)
 
 
 def open_bus(
@@ -156,7 +166,7 @@ class ZenohBus(Bus):
                 self._session,
                 expression,
                 handler,
-                history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=history_depth(expression)),
                 recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
             )
         )

@@ -145,7 +145,7 @@ class InputStream:
     def _arrivals(self, message: Numbered) -> Iterator[Arrival]:
         self.fed = max(self.fed, message.sequence) if message.start_id == self.sequencer.start_id else message.sequence
         try:
-            for said in _values(message):
+            for said in values_of(message):
                 value = self._after_restart(said, message.start_id) if isinstance(said, Epoch) else said
                 if isinstance(value, Epoch):
                     self._open.append((message.sequence, value.time))
@@ -156,7 +156,7 @@ class InputStream:
             self.errors += 1
 
 
-def _values(message: Numbered) -> Iterator[Input]:
+def values_of(message: Numbered) -> Iterator[Input]:
     """Yield the engine's values of one wire message."""
     if isinstance(message, Observation):
         yield epoch_of(message)
