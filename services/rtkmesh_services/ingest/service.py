@@ -34,7 +34,7 @@ from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, common_s
 from rtkmesh_services.ingest.stream import StreamPublisher
 from rtkmesh_services.ingest.urls import SourceUrl, parse_source, wants_nearest
 from rtkmesh_services.mapping.position import known_position
-from rtkmesh_services.ntrip.gga import Place
+from rtkmesh_services.ntrip.place import Place
 from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done
 from rtkmesh_services.runtime.statistics import RollingQuantiles
