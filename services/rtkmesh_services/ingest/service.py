@@ -122,6 +122,7 @@ class IngestService(Service):
                 "link_errors": self._errors,
                 "writes": self._writes,
                 "writes_lost": self._writes_lost,
+                **self._publisher.made.counters(),
             },
             latencies={"decode": self._decode_ms},
             last_epoch=None if newest is None else (newest.time.week, newest.time.tow_s),
