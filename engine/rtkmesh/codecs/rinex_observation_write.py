@@ -57,7 +57,8 @@ class Survey:
         self.epochs += 1
         systems = epoch.satellite // 64
         for kind, values in enumerate((epoch.pseudorange_m, epoch.phase_cyc, epoch.doppler_hz, epoch.cn0_dbhz)):
-            self._present[systems, epoch.signal, kind] |= np.isfinite(values)
+            there = np.isfinite(values)
+            self._present[systems[there], epoch.signal[there], kind] = True
         known = epoch.channel != NO_CHANNEL
         self._channel[epoch.satellite[known]] = epoch.channel[known]
 
