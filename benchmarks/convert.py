@@ -24,8 +24,15 @@ from rtkmesh_services.ingest.recording import RecordingKind, open_recording
 FOLDERS = ("dec_ubx", "dec_rtcm3", "dec_gpsd", "galway_m8p", "sdq_f9p_2021", "stromlo_rtcm", "umea_f9p")
 RAW = {RecordingKind.UBX: "ubx", RecordingKind.MIXED: "ubx", RecordingKind.RTCM3: "rtcm3"}
 # RTCM 3 logs carry no date; those that are not named here are of 2018-07-11.
-DATES = {"2018-07-14": ("STR17", "STR24"), "2018-07-17": ("piksi-5Hz",), "2018-07-16": ("piksi-2Hz",), "2021-08-09": ("20210809",)}
-HOURS = {"STR17": 23, "STR24": 23, "piksi-5Hz": 8, "20210809": 15}
+DATES = {
+    "2016-04-06": ("rtcm3.2.log",),
+    "2024-08-18": ("ntrip_",),
+    "2018-07-14": ("STR17", "STR24"),
+    "2018-07-17": ("piksi-5Hz",),
+    "2018-07-16": ("piksi-2Hz",),
+    "2021-08-09": ("20210809",),
+}
+HOURS = {"STR17": 23, "STR24": 23, "piksi-5Hz": 8, "20210809": 15, "rtcm3.2.log": 20}
 COLUMNS = (
     "recording", "format", "epochs", "values alike", "only ours", "only convbin's", "differ", "slips alike / ours / convbin's",
     "half cycles alike / ours / convbin's", "ephemerides alike / ours / convbin's", "CPU s ours (converting)", "convbin",

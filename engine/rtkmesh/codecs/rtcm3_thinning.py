@@ -33,6 +33,7 @@ LAST_STEP: Final = TWO_BANDS + len(_DROPPED)
 _ATTRIBUTE_ORDER: Final = "CLXQPWISDEABZMNYGHKRTUVFJO"  # of signals in one band the first of these is kept
 _BAND_ORDER: Final = {GPS: "125", GLONASS: "12463", GALILEO: "17586", BEIDOU: "27651", QZSS: "1256", SBAS: "15", NAVIC: "591"}
 _CALM_EPOCHS: Final = 30  # epochs with room to spare before a step is taken back
+_LONGEST_WAIT_S: Final = 10.0  # a stream that was silent does not save up for more
 _SLACK: Final = 1e-3  # time tags are not quite regular
 
 
@@ -97,8 +98,9 @@ class ByteBudget:
         if self._rate <= 0.0:
             return encode(epoch)
         rate = max(self._rate - fixed_rate, 0.0) * (1.0 + _SLACK)
-        period_s = self._elapsed(self._seen_s, time_s, 1.0)
-        waited_s = self._elapsed(self._sent_s, time_s, period_s)
+        if self._seen_s is None or self._sent_s is None:
+            self._seen_s = self._sent_s = time_s - 1.0
+        period_s, waited_s = (min(max(time_s - before_s, 0.0), _LONGEST_WAIT_S) for before_s in (self._seen_s, self._sent_s))
         self._seen_s = time_s
         self._take_back(epoch, rate * period_s, encode)
         for step in range(self.step, LAST_STEP + 1):
@@ -111,10 +113,6 @@ class ByteBudget:
         self.left_out += 1
         self.step = LAST_STEP
         return []
-
-    def _elapsed(self, before_s: float | None, time_s: float, otherwise_s: float) -> float:
-        """Return the seconds since an instant, at most ten: a stream that was silent does not save up for more."""
-        return otherwise_s if before_s is None else min(max(time_s - before_s, 0.0), 10.0)
 
     def _take_back(self, epoch: Epoch, allowance: float, encode: Callable[[Epoch], list[bytes]]) -> None:
         """Go back one step when it has fitted for some time."""
