@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -78,9 +79,12 @@ def convert(
     paths = _outputs(request, inputs[0])
     check_free(paths, inputs, force=request.force)
     start, end = (_instant(flag, text) if text else None for flag, text in (("--start", request.start), ("--end", request.end)))
-    recordings = open_recordings(inputs, day_of(request.date) if request.date else None)
-    conversion = Conversion(recordings, Selection(request.systems, request.interval, start, end), _writer(request, paths, inputs))
-    _run(conversion, shown=not request.quiet and sys.stderr.isatty())
+    with ExitStack() as stack:
+        recordings = open_recordings(inputs, day_of(request.date) if request.date else None)
+        for recording in recordings:
+            stack.callback(recording.close)
+        conversion = Conversion(recordings, Selection(request.systems, request.interval, start, end), _writer(request, paths, inputs))
+        _run(conversion, shown=not request.quiet and sys.stderr.isatty())
     if as_json:
         sys.stdout.write(json.dumps({**conversion.tally.as_dict(), "rejected": conversion.faults()}, indent=1) + "\n")
     elif not request.quiet:

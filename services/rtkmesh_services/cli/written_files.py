@@ -1,5 +1,6 @@
 """Files that a command writes: a file is there whole or not at all, and none is replaced that was not to be."""
 
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
@@ -36,8 +37,12 @@ class WrittenFile:
         if kind is not None:
             self.drop()
             return
-        self._file.close()
-        self._part.replace(self.path)
+        try:
+            self._file.close()
+            self._part.replace(self.path)
+        except OSError as problem:
+            self.drop()
+            raise SourceError(f"{self.path}: {problem.strerror}") from problem
 
     def write(self, data: bytes) -> None:
         """Append bytes; SourceError where the disk takes no more."""
@@ -49,5 +54,6 @@ class WrittenFile:
 
     def drop(self) -> None:
         """Leave no file."""
-        self._file.close()
+        with suppress(OSError):  # what could not be written cannot be written now
+            self._file.close()
         self._part.unlink(missing_ok=True)
