@@ -99,7 +99,8 @@ def line(name: str, kind: str, done: Converted) -> str:
 def recordings(folder: Path, only: str) -> list[tuple[Path, str]]:
     """Return the logs of receivers' bytes with the name of their format."""
     found: list[tuple[Path, str]] = []
-    for path in (path for name in FOLDERS for path in sorted((folder / name).glob("*")) if path.is_file() and only in path.name):
+    named = {path.name: path for name in FOLDERS for path in sorted((folder / name).glob("*")) if path.is_file() and only in path.name}
+    for path in named.values():  # some lie in two folders
         try:
             recording = open_recording(path)
         except SourceError:
