@@ -110,6 +110,38 @@ def test_rnx2rtkp_solves_our_files_as_convbins(data: Path, rtklib_program: Find,
     assert ours == theirs
 
 
+def test_rnx2rtkp_solves_with_a_thinned_base(data: Path, rtklib_program: Find, tmp_path: Path) -> None:
+    """The base's MSM7 made into MSM4 with everything of a station around it: the same fixes, within the millimetre that MSM4 keeps."""
+    log = data / "stromlo_rtcm" / "week-rollover-STR17.rtcm3"
+    words = ["--to", "rtcm3", "--msm", "4", "--date", "2018-07-14", "--end", "2018-07-14T23:56:00", "--out", str(tmp_path / "thin.rtcm3")]
+    assert rtkmesh(["convert", str(log), *words, "--quiet"]) == 0
+    assert (tmp_path / "thin.rtcm3").stat().st_size < 0.6 * log.stat().st_size * 345.0 / 1126.0
+    rover, _ = both(rtklib_program, log.with_name("week-rollover-STR24.rtcm3"), "rtcm3", tmp_path, "2018-07-14", "23:00:00")
+    found: list[dict[str, list[float]]] = []
+    for name, source in (("whole", log), ("thin", tmp_path / "thin.rtcm3")):
+        base = tmp_path / f"{name}.obs"
+        outputs = ["-o", str(base), "-n", str(base.with_suffix(".nav"))]
+        command = [
+            rtklib_program("convbin"),
+            "-r",
+            "rtcm3",
+            "-v",
+            "3.04",
+            "-od",
+            "-os",
+            "-tr",
+            "2018/07/14",
+            "23:00:00",
+            *outputs,
+            str(source),
+        ]
+        subprocess.run(command, check=True, capture_output=True, timeout=120)
+        rows = positions(rtklib_program, tmp_path / f"{name}.pos", rover.with_suffix(".obs"), base)
+        found.append({row[1]: [float(value) for value in row[2:5]] for row in rows if row[5] == "1"})
+    assert len(found[0].keys() & found[1].keys()) >= 0.98 * len(found[0])
+    assert max(np.abs(np.subtract(found[0][time], found[1][time])).max() for time in found[0].keys() & found[1].keys()) < 2e-3
+
+
 def test_convbin_reads_the_stream_of_a_raw_u_blox(data: Path, rtklib_program: Find, tmp_path: Path) -> None:
     """RAWX to MSM7 to RINEX: ranges are those of the receiver but for one clock term per epoch, phases but for that and whole cycles."""
     source, stream = data / "umea_f9p" / "B001.ubx", tmp_path / "base.rtcm3"
