@@ -82,7 +82,8 @@ class Conversion:
         self._recordings = sorted(recordings, key=lambda recording: recording.kind is not RecordingKind.NAVIGATION)
         self._writer, self._selection = writer, selection
         self._decimator = Decimator(selection.interval_s)
-        self._systems = np.array([SYSTEMS.index(letter) for letter in selection.systems])
+        everything = set(selection.systems) == set(SYSTEMS)
+        self._systems = None if everything else np.array([SYSTEMS.index(letter) for letter in selection.systems])
         self.tally = Tally()
 
     def run(self, watch: Callable[[float], None]) -> Tally:
@@ -122,6 +123,7 @@ class Conversion:
             return None
         if not self._decimator.takes(message.time):
             return None
-        kept = np.isin(message.satellite // SATELLITES_PER_SYSTEM, self._systems)
-        epoch = message if kept.all() else message.take(kept)
+        epoch = message
+        if self._systems is not None:
+            epoch = message.take(np.isin(message.satellite // SATELLITES_PER_SYSTEM, self._systems))
         return epoch if len(epoch) else None
