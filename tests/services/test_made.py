@@ -122,10 +122,10 @@ def test_fixes_by_the_made_stream_are_those_by_the_raw_one(tmp_path: Path) -> No
     for one, other in both:
         assert np.linalg.norm(np.subtract(one.position_ecef_m, other.position_ecef_m)) < 1.5e-3
         assert np.linalg.norm(np.subtract(one.position_ecef_m, world.rover_ecef_m)) < 0.05
-    world.lives["radio"].service.close()
-    assert world.path.read_bytes() == b"".join(world.made())
     assert {1006, 1008, 1033, 1019, 1046, 1077, 1097} <= set(numbers(world.made()))
     assert world.counters()["made_radio_epochs"] == 30
+    world.lives["radio"].service.close()
+    assert world.path.read_bytes() == b"".join(world.made())
 
 
 def test_nothing_is_made_while_nobody_listens_and_a_newcomer_is_told_all(tmp_path: Path) -> None:
