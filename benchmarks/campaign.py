@@ -12,6 +12,8 @@ in 3D) in % of the fixes with bounds of 95 % confidence as if fixes were indepen
 the runs with bounds, which are; longest run of wrong fixes (s); time from the first such epoch to the first right fix (s, 50 % / 95 % of
 the runs; '>' where so many runs never had one); normalised error squared e' P^-1 e / 3 of fixes and floats (1 is honest, more is too sure):
 mean, and mean without the largest 5 %.
+
+A second table says what the option failure_rate of [solver.ID.ambiguity] makes of the same runs: it hides fixes and changes nothing else.
 """
 
 import argparse
@@ -41,6 +43,8 @@ from simulated import Judged, judge, simulate, solve
 
 Row = dict[str, Any]
 
+RATES = (1.0, 0.3, 0.1, 0.01, 1e-3, 1e-4)
+RATE_COLUMNS = ("failure_rate", "fix %", "wrong fixes", "wrong share (95 %)", "runs with wrong")
 RUNS = 1320
 QUICK_RUNS = 132
 COLUMNS = (
@@ -64,6 +68,8 @@ class Outcome:
     first_right_s: float  # inf: never
     fix_squares: NDArray[np.float64]
     float_squares: NDArray[np.float64]
+    doubt: NDArray[np.float64]  # of the fixes: the published probability of being wrong, and
+    is_wrong: NDArray[np.bool_]  # whether they are
 
 
 def random_of(family: Family, seed: int, run: int) -> np.random.Generator:
@@ -91,7 +97,7 @@ def outcome(name: str, run: int, judged: Judged) -> Outcome:
     return Outcome(
         name, run, int(counted.sum()), int(fixed.sum()), int(wrong.sum()), longest_run(wrong),
         float(errors_m[wrong].max(initial=0.0)), float(right[0] - first) if len(right) else float("inf"),
-        judged.normalised[fixed & known], judged.normalised[floating & counted & known],
+        judged.normalised[fixed & known], judged.normalised[floating & counted & known], judged.doubt[fixed], wrong[fixed],
     )  # fmt: skip
 
 
@@ -117,6 +123,31 @@ def figures(outcomes: Sequence[Outcome]) -> Row:
         "nees_fix": _means(np.concatenate([o.fix_squares for o in outcomes])),
         "nees_float": _means(np.concatenate([o.float_squares for o in outcomes])),
     }
+
+
+def by_rate(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Return what is left of the fixes of many runs under each configured failure rate."""
+    possible = sum(o.possible for o in outcomes)
+    return [_of_rate(rate, possible, [o.is_wrong[o.doubt <= rate] for o in outcomes]) for rate in RATES]
+
+
+def _of_rate(rate: float, possible: int, shown: Sequence[NDArray[np.bool_]]) -> Row:
+    fixes, wrong = sum(len(s) for s in shown), sum(int(s.sum()) for s in shown)
+    share = wrong / fixes if fixes else 0.0
+    bad = sum(bool(s.any()) for s in shown)
+    return {
+        "failure_rate": rate, "fix_pct": _percent(fixes, possible), "wrong_fixes": wrong, "share": share,
+        "share_95": clopper_pearson(wrong, fixes), "runs_with_wrong": bad,
+    }  # fmt: skip
+
+
+def rate_page(rows: Sequence[Row]) -> str:
+    """Return the table of failure rates as Markdown."""
+    return table(RATE_COLUMNS, [
+        [f"{row['failure_rate']:g}", f"{row['fix_pct']:.1f}", str(row["wrong_fixes"]),
+         f"{row['share']:.1e} ({row['share_95'][0]:.1e} to {row['share_95'][1]:.1e})", str(row["runs_with_wrong"])]
+        for row in rows
+    ])  # fmt: skip
 
 
 def _percent(part: int, whole: int) -> float:
@@ -223,9 +254,11 @@ def main() -> int:
     rows = rows_of(families, outcomes)
     commands = list(replays(outcomes, options.seed))
     if options.json:
-        print(json.dumps({"seed": options.seed, "families": rows, "replays": commands}, indent=1))
+        rates = by_rate(outcomes)
+        print(json.dumps({"seed": options.seed, "families": rows, "failure_rates": rates, "replays": commands}, indent=1))
         return 0
     print(page(rows))
+    print(f"What a configured failure rate leaves of them (1: no limit):\n\n{rate_page(by_rate(outcomes))}")
     if commands:
         print(f"Runs with wrong fixes, seed {options.seed}:\n\n```text\n" + "\n".join(commands) + "\n```")
     return 0

@@ -171,12 +171,15 @@ def _feed_navigation(session: Session, run: Simulated) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """What a run's solutions are worth, per epoch: status (0: none), error (epochs, 3; ENU, m), normalised squared error, chances."""
+    """What a run's solutions are worth, per epoch: status (0: none), error (epochs, 3; ENU, m), normalised squared error, chances, and the
+    published probability of being wrong.
+    """
 
     status: NDArray[np.int64]
     error_enu_m: Vector
     normalised: Vector
     possible: NDArray[np.bool_]
+    doubt: Vector
 
     @property
     def fixed(self) -> NDArray[np.bool_]:
@@ -192,12 +195,12 @@ class Judged:
 def judge(run: Simulated, solutions: Sequence[Solution | None]) -> Judged:
     """Hold solutions against the truth. Of a base that stands the rover's position is judged, relative to what the base told."""
     setup, n = run.setup, run.setup.epochs
-    status, error, normalised = np.zeros(n, np.int64), np.full((n, 3), np.nan), np.full(n, np.nan)
+    status, error, normalised, doubt = np.zeros(n, np.int64), np.full((n, 3), np.nan), np.full(n, np.nan), np.ones(n)
     turn = run.site.ecef_from_enu()
     for k, solution in enumerate(solutions):
         if solution is None:
             continue
-        status[k] = int(solution.status)
+        status[k], doubt[k] = int(solution.status), 1.0 - solution.fix_probability
         relative, cov = solution.baseline_ecef_m, solution.baseline_cov_ecef_m2
         if setup.options.mode is not Mode.MOVING_BASE:
             shifted = setup.shift_at is not None and k >= setup.shift_at
@@ -208,4 +211,4 @@ def judge(run: Simulated, solutions: Sequence[Solution | None]) -> Judged:
         if np.isfinite(difference).all() and np.isfinite(cov).all():
             normalised[k] = difference @ np.linalg.solve(cov, difference) / 3.0
     possible = np.array([len(np.unique(o.epoch.satellite)) >= ENOUGH_SATELLITES for o in run.rover])
-    return Judged(status, error, normalised, possible)
+    return Judged(status, error, normalised, possible, doubt)

@@ -105,7 +105,7 @@ class DynamicsTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class AmbiguityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[solver.ID.ambiguity]``: integer resolution."""
+    """``[solver.ID.ambiguity]``: integer resolution. ``failure_rate``: fixes more probably wrong are floats."""
 
     mode: Literal["off", "instantaneous", "continuous", "fix-and-hold"] | None = None
     ratio: Annotated[float, Meta(ge=1.0, le=1000.0)] | None = None
@@ -113,6 +113,7 @@ class AmbiguityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     minimum_lock_epochs: Annotated[int, Meta(ge=0, le=10000)] | None = None
     minimum_ambiguities: Annotated[int, Meta(ge=3, le=64)] | None = None
     hold_after_epochs: Annotated[int, Meta(ge=1, le=100000)] | None = None
+    failure_rate: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None
 
 
 class IntegrityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

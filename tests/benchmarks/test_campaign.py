@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rtkmesh.rtk.engine import Rtk
+
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 NAMES = ("bounds", "campaign", "families", "simulated", "dive", "heading")
 
@@ -47,10 +49,22 @@ def test_bounds_of_many_trials_leave_out_the_tails_that_they_claim(benchmarks: S
         assert 1.0 - at_most(hits - 1, low) == pytest.approx(0.025, rel=1e-4)
 
 
-def judged(benchmarks: SimpleNamespace, errors_m: list[float], status: list[int], possible: list[bool]) -> object:
+def judged(benchmarks: SimpleNamespace, errors_m: list[float], status: list[int], possible: list[bool], doubt: float = 0.0) -> object:
     error = np.zeros((len(errors_m), 3))
     error[:, 2] = errors_m
-    return benchmarks.simulated.Judged(np.array(status), error, np.array(errors_m) * 10.0, np.array(possible))
+    return benchmarks.simulated.Judged(np.array(status), error, np.array(errors_m) * 10.0, np.array(possible), np.full(len(status), doubt))
+
+
+def test_a_failure_rate_leaves_what_is_as_sure(benchmarks: SimpleNamespace):
+    """Fixes that are wrong with a higher probability are gone, and with them what is wrong among them."""
+    sure = benchmarks.campaign.outcome("x", 0, judged(benchmarks, [0.0] * 30, [1] * 30, [True] * 30, 1e-3))
+    doubtful = benchmarks.campaign.outcome("x", 1, judged(benchmarks, [1.0] * 10, [1] * 10, [True] * 10, 0.2))
+    rows = {row["failure_rate"]: row for row in benchmarks.campaign.by_rate([sure, doubtful])}
+    assert [(rows[r]["fix_pct"], rows[r]["wrong_fixes"], rows[r]["runs_with_wrong"]) for r in (1.0, 0.1, 1e-4)] == [
+        (100.0, 10, 1), (75.0, 0, 0), (0.0, 0, 0),
+    ]  # fmt: skip
+    assert rows[1.0]["share"] == 0.25
+    assert rows[0.1]["share_95"] == pytest.approx((0.0, 0.1157), abs=1e-4)
 
 
 def test_outcomes_of_known_errors(benchmarks: SimpleNamespace):
@@ -141,3 +155,16 @@ def test_spread_of_known_headings(benchmarks: SimpleNamespace):
     assert row["azimuth_sd_deg"] == pytest.approx(0.5)
     assert row["elevation_sd_deg"] == pytest.approx(0.0)
     assert row["length_sd_mm"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_the_past_does_not_keep_the_integers_from_being_found(benchmarks: SimpleNamespace, monkeypatch: pytest.MonkeyPatch):
+    """Run 20 of base_gaps: a float that is astray for the whole run, where one epoch by itself is clear."""
+    family = next(f for f in benchmarks.families.FAMILIES if f.name == "base_gaps")
+    rng = benchmarks.campaign.random_of(family, 1, 20)
+    run = benchmarks.simulated.simulate(family.make(rng), rng)
+    found = benchmarks.simulated.judge(run, benchmarks.simulated.solve(run))
+    monkeypatch.setattr(Rtk, "_may_begin_anew", lambda *_: False)
+    alone = benchmarks.simulated.judge(run, benchmarks.simulated.solve(run))
+    assert not found.wrong.any()
+    assert found.fixed.sum() >= alone.fixed.sum() + 50

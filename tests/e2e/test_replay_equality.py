@@ -71,7 +71,7 @@ def offline(name: str, data: Path) -> tuple[Deployment, list[Solution]]:
     rover, base = (Path(parse_source(ingests[n].source).path) for n in (table.rover, table.base))
     inputs = open_inputs(rover, base, navigation, date_of(ingests[table.rover].date))
     options = session_options(table, replay=True, base_position_ecef_m=known_position(ingests[table.base]))
-    return deployment, list(Run(inputs, options).solutions())
+    return deployment, list(Run(inputs, options, causal=True).solutions())
 
 
 @pytest.mark.e2e

@@ -30,7 +30,7 @@ from rtkmesh.rtk.integrity import (
 from rtkmesh.rtk.local import in_enu
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, IntegrityOptions, Mode, RtkOptions
 from rtkmesh.rtk.separation import CLOCK, COLUMNS, RANGE, Ranges, horizontal_sigma, solve_epoch
-from rtkmesh.rtk.solution import IntegrityReason, Solution, Status
+from rtkmesh.rtk.solution import IntegrityReason, Reason, Solution, Status
 from rtkmesh.rtk.verdict import verdict
 from rtkmesh.simulation.classes import F9P, SURVEY
 from rtkmesh.simulation.receiver import Receiver
@@ -207,6 +207,32 @@ def test_a_float_has_no_fix_probability_and_levels_of_its_codes(scene: tuple[lis
     last = solved(scene, RtkOptions(ambiguity=AmbiguityOptions(mode=AmbiguityMode.OFF)))[-1]
     assert (last.status, last.fix_probability, last.integrity_reason) == (Status.FLOAT, 0.0, IntegrityReason.ALERT_LIMIT)
     assert 0.5 < last.protection_horizontal_m < 50.0
+
+
+@pytest.mark.slow
+def test_a_failure_rate_hides_fixes_and_changes_nothing_else(scene: tuple[list, np.ndarray, np.ndarray]):
+    """What is less sure than configured is the float solution with its levels; what is surer is the same to the last bit."""
+    weak = RtkOptions(systems="C")
+    plain, strict = solved(scene, weak), solved(scene, replace(weak, ambiguity=AmbiguityOptions(failure_rate=0.006)))
+    hidden = [one.status is Status.FIX and 1.0 - one.fix_probability > 0.006 for one in plain]
+    assert any(hidden)
+    for one, other, is_hidden in zip(plain, strict, hidden, strict=True):
+        if is_hidden:
+            assert (other.status, other.reason, other.fix_probability) == (Status.FLOAT, Reason.FAILURE_RATE, 0.0)
+            assert (other.ambiguities_fixed, other.grade, other.ratio) == (0, 0, one.ratio)
+            assert np.trace(other.position_cov_ecef_m2) > np.trace(one.position_cov_ecef_m2)
+        else:
+            assert np.array_equal(one.position_ecef_m, other.position_ecef_m)
+            assert one.reason is other.reason
+
+
+def test_a_failure_rate_needs_a_probability():
+    """Without integrity nothing says how probably a fix is wrong; no rate at all is no rate."""
+    with pytest.raises(OptionError, match="needs integrity"):
+        RtkOptions(ambiguity=AmbiguityOptions(failure_rate=0.1), integrity=IntegrityOptions(enabled=False))
+    for rate in (0.0, 1.1, nan):
+        with pytest.raises(OptionError, match="failure rate"):
+            AmbiguityOptions(failure_rate=rate)
 
 
 @pytest.mark.slow

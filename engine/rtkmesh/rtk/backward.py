@@ -16,7 +16,8 @@ from rtkmesh.gnss.ephemeris import Ephemeris
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.ephemeris_table import KIND, NO_EPHEMERIS
-from rtkmesh.rtk.engine import COMPLEMENT_S, Rtk
+from rtkmesh.rtk.complements import COMPLEMENT_S
+from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import Direction, RtkOptions
 from rtkmesh.rtk.pairing import Pair
 from rtkmesh.rtk.reversal import Reversal

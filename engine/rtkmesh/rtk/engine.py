@@ -10,27 +10,28 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import reduce
 from math import isfinite, nan, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch, Signals
-from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
-from rtkmesh.rtk.bookkeeping import Motion, advance, seed, systems_of
+from rtkmesh.rtk.bookkeeping import Motion, advance, seed
+from rtkmesh.rtk.complements import BaseEpochs, complemented
+from rtkmesh.rtk.informed import INFORMED_FROM_M
 from rtkmesh.rtk.integrity import IntegritySetup
 from rtkmesh.rtk.matching import matching_rules
-from rtkmesh.rtk.memory import forget, new_memory, resolve_setup
+from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, forget, new_memory, resolve_setup
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
-from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, Known, Setup, differences_of, solve, solve_pair, walks_of
-from rtkmesh.rtk.report import IS_FIXED, Circumstances, from_single, report
+from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Setup, Solved, differences_of, solve, solve_pair, walks_of
+from rtkmesh.rtk.report import IS_FIXED, ODDS, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.solution import Reason, Solution
@@ -47,12 +48,30 @@ _SEED_MOVING: Final = np.array((30.0, 10.0, 3.0))
 _SEED_STANDING: Final = np.array((30.0, 1e-6, 1e-6))
 _SEED_FIXED: Final = np.array((1e-4, 1e-6, 1e-6))
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
-COMPLEMENT_S: Final = 10.0  # how much older a base epoch may be that gives a system which the newest lacks
 _ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
 _ABSURD_EPOCHS: Final = 3
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
+_ANEW: Final = (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.STATIC, Mode.STATIC_START)  # where an epoch may be solved without its past as well
 _NOWHERE: Final = np.full(3, nan)
 _UNKNOWN: Final = np.full((3, 3), nan)
+
+
+class Past(NamedTuple):
+    """What an engine has learned beside its filter, as ``relative.Known`` has it; all is written to."""
+
+    memory: Vector
+    prediction: Vector
+    scale: Matrix
+    informed_scale: Matrix
+
+    def copy(self) -> "Past":
+        """Return a past of its own."""
+        return Past(*(part.copy() for part in self))
+
+    def forget(self) -> None:
+        """Forget integers and predictions; what was learned of the receivers stays."""
+        self.prediction[:] = nan
+        forget(self.memory)
 
 
 def _setup_of(options: RtkOptions) -> Setup:
@@ -64,7 +83,8 @@ def _setup_of(options: RtkOptions) -> Setup:
         resolve_setup(ambiguity, options.baseline_length_m if moving_base else None, options.baseline_sigma_m),
         noise.phase_a_m, noise.phase_b_m, noise.code_ratio, noise.ephemeris_m_per_m, options.elevation_mask_rad,
         ambiguity.elevation_mask_rad, float(ambiguity.minimum_lock_epochs), options.dynamics.ambiguity_cyc, options.mode is not Mode.DGPS,
-        ambiguity.mode is not AmbiguityMode.OFF, _integrity_setup(options), NO_PATTERNS,
+        ambiguity.mode is not AmbiguityMode.OFF, _integrity_setup(options), ambiguity.failure_rate,
+        NO_PATTERNS,
     )  # fmt: skip
 
 
@@ -84,10 +104,7 @@ class Rtk:
         self.direction = direction
         self._sense = 1.0 if direction is Direction.FORWARD else -1.0  # of the filter's clock against GPS time
         self._state: FilterState | None = None
-        self._scale = new_code_scale()
-        self._informed_scale = new_code_scale()
-        self._memory = new_memory()
-        self._prediction = np.full(7, nan)
+        self._past = Past(new_memory(), np.full(7, nan), new_code_scale(), new_code_scale())
         self._resets = 0
         self._absurd = 0
         self._was_fixed = False
@@ -96,7 +113,7 @@ class Rtk:
         self._setup = _setup_of(options)
         motion = options.dynamics
         self._motion = Motion(motion.acceleration_horizontal_mps2, motion.acceleration_vertical_mps2, _DECAY_S)
-        self._bases: list[Epoch] = []
+        self._bases = BaseEpochs()
 
     def antennas(self, rover: Antenna | None, base: Antenna | None) -> None:
         """Take the antennas of both ends; None where one is not known, and then neither is corrected: half a correction is worse than none.
@@ -117,8 +134,7 @@ class Rtk:
 
     def _forget(self) -> None:
         self._state = None
-        self._prediction[:] = nan
-        forget(self._memory)
+        self._past.forget()
 
     def step(
         self,
@@ -154,7 +170,9 @@ class Rtk:
         state = self._seeded(rover, single, base_position_ecef_m)
         if state is None:
             return from_single(rover, base, single)
-        bases = self._with_complements(rover, base, earlier_bases)
+        bases = [base]
+        if self.options.mode is not Mode.MOVING_BASE:
+            bases = complemented(rover, base, self._bases.before(base) if earlier_bases is None else earlier_bases)
         return self._doubted(self._relative(state, rover, bases, issues, (single, base_single)))
 
     def _doubted(self, solution: Solution) -> Solution:
@@ -204,8 +222,7 @@ class Rtk:
         if state is None:
             if single.status != CONVERGED and self.options.mode is not Mode.FIXED:
                 return None
-            state = self._state = FilterState(rover.time, base_ecef_m=base_ecef_m.copy())
-            self._seed(state, single)
+            state = self._state = self._begun(rover, single, base_ecef_m)
         shift = base_ecef_m - state.base_ecef_m
         if shift.any():
             if self.options.mode is not Mode.MOVING_BASE:
@@ -213,6 +230,12 @@ class Rtk:
                 state.informed.x[:3] -= shift
             state.base_ecef_m = base_ecef_m.copy()
             state.base_s = nan
+        return state
+
+    def _begun(self, rover: Epoch, single: Located, base_ecef_m: Vector) -> FilterState:
+        """Return the state of a filter that begins with this epoch."""
+        state = FilterState(rover.time, base_ecef_m=base_ecef_m.copy())
+        self._seed(state, single)
         return state
 
     def _clock_s(self, state: FilterState, time: GpsTime) -> float:
@@ -234,7 +257,7 @@ class Rtk:
         if moves and dt > _RESEED_S and single.status == CONVERGED:
             self._seed(state, single)
             moves = False
-        walks = walks_of(self._setup, state.baseline_m, self._memory)
+        walks = walks_of(self._setup, state.baseline_m, self._past.memory)
         if len(state.informed.keys) and not advance(state.informed, dt, moves, self._motion, state.base_ecef_m, walks, _SEED_MOVING):
             state.informed = new_filter()
         return advance(state.filter, dt, moves, self._motion, state.base_ecef_m, walks, _SEED_MOVING)
@@ -250,48 +273,59 @@ class Rtk:
     def _relative(
         self, state: FilterState, rover: Epoch, bases: list[Epoch], issues: Issues, singles: tuple[Located, Located | None]
     ) -> Solution:
-        base, single, model_ecef_m = bases[0], singles[0], state.rover_ecef_m
-        age_s, base_s = rover.time - base.time, self._clock_s(state, base.time)
-        known = Known(
-            np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, self._prediction,
-            self._memory, self._scale, *self._velocity(singles), self._informed_scale,
-        )  # fmt: skip
-        klobuchar, channel, signals = self._point.klobuchar, issues.channel, rover.signals
-        if len(bases) == 1:
-            solved = solve_pair(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, known, self._setup)
-        else:
-            solved = solve(state.filter, state.informed, self._combined(state, signals, bases, single, channel), known, self._setup)
+        base, single, age_s = bases[0], singles[0], rover.time - bases[0].time
+        solved = self._solved(state, self._past, rover, bases, issues, singles)
+        if solved.status == SOLVED and not solved.figures[IS_FIXED] and self._may_begin_anew(state, single):
+            solved = self._anew(state, rover, bases, issues, singles) or solved
         around = Circumstances(age_s, self._moves, self._sense, singles[1], self._resets, self.options)
         if solved.status == FEW_COMMON:
             return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         if solved.status == NOT_FINITE:
             self.reset()
             return replace(from_single(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
-        state.filter, state.informed = solved.filter, solved.informed
-        state.rover_s, state.base_s, state.rover_model_ecef_m = state.time_s, base_s, model_ecef_m
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
         return report(rover, base, single, state.base_ecef_m, solved, around)
 
-    def _with_complements(self, rover: Epoch, base: Epoch, earlier: Iterable[Epoch] | None) -> list[Epoch]:
-        """Return the base epoch and, from earlier ones, the systems that it lacks and the rover has.
+    def _solved(
+        self, state: FilterState, past: Past, rover: Epoch, bases: list[Epoch], issues: Issues, singles: tuple[Located, Located | None]
+    ) -> Solved:
+        """Return the relative solution of an epoch, and let state and past be what came of it."""
+        base, single, model_ecef_m = bases[0], singles[0], state.rover_ecef_m
+        base_s = self._clock_s(state, base.time)
+        known = Known(
+            np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
+            past.memory, past.scale, *self._velocity(singles), past.informed_scale,
+        )  # fmt: skip
+        klobuchar, channel, signals = self._point.klobuchar, issues.channel, rover.signals
+        if len(bases) == 1:
+            solved = solve_pair(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, known, self._setup)
+        else:
+            solved = solve(state.filter, state.informed, self._combined(state, signals, bases, single, channel), known, self._setup)
+        if solved.status == SOLVED:
+            state.filter, state.informed = solved.filter, solved.informed
+            state.rover_s, state.base_s, state.rover_model_ecef_m = state.time_s, base_s, model_ecef_m
+        return solved
 
-        Lost messages make such epochs: RTCM 3 sends each system by itself.
+    def _may_begin_anew(self, state: FilterState, single: Located) -> bool:
+        """Return whether an epoch without a fix is also looked at without its past: where the filter has one, and one epoch may resolve."""
+        remembers = self.options.ambiguity.mode in (AmbiguityMode.CONTINUOUS, AmbiguityMode.FIX_AND_HOLD) and state.time_s > 0.0
+        return remembers and single.status == CONVERGED and self.options.mode in _ANEW and state.baseline_m < INFORMED_FROM_M
+
+    def _anew(
+        self, state: FilterState, rover: Epoch, bases: list[Epoch], issues: Issues, singles: tuple[Located, Located | None]
+    ) -> Solved | None:
+        """Solve an epoch without its past, and go on from there if its own codes and phases say clearly where it is; else None.
+
+        After a bridge, or codes that were bad for a while, the past may be what keeps the integers from being found.
         """
-        parts = [base]
-        if self.options.mode is Mode.MOVING_BASE:
-            return parts
-        missing = systems_of(rover.satellite) & ~systems_of(base.satellite)
-        for other in self._remembered_bases(base) if earlier is None else earlier:
-            if found := missing & systems_of(other.satellite):
-                parts.append(other.take((found >> (other.satellite // SATELLITES_PER_SYSTEM)) & 1 != 0))
-                missing &= ~found
-        return parts
-
-    def _remembered_bases(self, base: Epoch) -> Iterable[Epoch]:
-        """Remember a base epoch; return those before it, newest first."""
-        if not self._bases or self._bases[-1] is not base:
-            self._bases = [b for b in self._bases if 0.0 < base.time - b.time <= COMPLEMENT_S] + [base]
-        return reversed(self._bases[:-1])
+        begun, past = self._begun(rover, singles[0], state.base_ecef_m), self._past.copy()
+        past.forget()
+        solved = self._solved(begun, past, rover, bases, issues, singles)
+        if solved.status != SOLVED or not solved.figures[IS_FIXED] or solved.figures[ODDS] < ACCEPT_AT_ONCE:
+            return None
+        self._state = begun
+        self._past.memory[:], self._past.prediction[:] = past.memory, past.prediction
+        return solved
 
     def _combined(self, state: FilterState, rover: Signals, bases: list[Epoch], single: Located, channel: NDArray[np.int8]) -> Differences:
         """Form the single differences with several base epochs that share no system."""

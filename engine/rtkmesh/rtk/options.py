@@ -73,6 +73,11 @@ class AmbiguityOptions:
     minimum_ambiguities: int = 5  # with fewer, ratio 3 passes are wrong more often than right (measured)
     hold_variance_cyc2: float = 0.1
     hold_after_epochs: int = 20  # confirmations before fix-and-hold tells the filter
+    failure_rate: float = 1.0  # fixes that are wrong with a higher probability are given as floats; 1: none (docs/concepts/integrity.md)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.failure_rate <= 1.0:
+            raise OptionError(f"failure rate is {self.failure_rate}, must be above 0 and at most 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,3 +129,5 @@ class RtkOptions:
             raise OptionError(f"systems has unknown letters {''.join(sorted(unknown))!r}; known are GRECJSI")
         if self.mode is Mode.FIXED and self.fixed_position_ecef_m is None:
             raise OptionError("mode 'fixed' needs fixed_position_ecef_m")
+        if self.ambiguity.failure_rate < 1.0 and not self.integrity.enabled:
+            raise OptionError("a failure rate needs integrity: nothing else says how probably a fix is wrong")

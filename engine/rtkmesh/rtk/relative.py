@@ -22,7 +22,7 @@ from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.update import update
-from rtkmesh.rtk.validation import decide, fix, not_resolved
+from rtkmesh.rtk.validation import decide, fix, not_resolved, withheld
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -67,6 +67,7 @@ class Setup(NamedTuple):
     phases: bool
     resolving: bool
     integrity: IntegritySetup
+    failure_rate: float
     antennas: Vector
 
 
@@ -183,16 +184,19 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         if resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE):
             squares = (outcome.phase_chi2 + norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
-    guarded = guard(
-        f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, model_ecef_m - known.base_ecef_m,
-    )  # fmt: skip
+    if resolution.fixed:
+        known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
+    modelled_m = model_ecef_m - known.base_ecef_m
+    guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, modelled_m)
+    if resolution.fixed and guarded.wrong > setup.failure_rate:
+        resolution = withheld(resolution)
+        guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, modelled_m)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     describe_guard(guarded, resolution.odds, figures)
     satellites = describe_pairs(f, d, layout, outcome, resolution.fixed, time_s)
     if not resolution.fixed:
         return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), figures, satellites)
-    known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
     return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites)
 
 

@@ -43,6 +43,7 @@ class Reason(IntEnum):
     FILTER_RESET = 12
     RESIDUALS = 13
     AMBIGUITY_OFF = 14
+    FAILURE_RATE = 15
 
 
 class IntegrityReason(IntEnum):

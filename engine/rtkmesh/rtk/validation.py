@@ -75,8 +75,9 @@ CONFIRMATIONS: Final = 3
 INFORMED_EPOCHS: Final = 3  # epochs in which the informed filter must have agreed to speak for the integers against the witness
 
 # Reasons as numbers, for kernels.
-FIX_OK, FEW_AMBIGUITIES, NOT_SURE, TOO_UNCERTAIN, NOT_VALID, SWITCHED_OFF = (int(reason) for reason in (
-    Reason.OK, Reason.FEW_AMBIGUITIES, Reason.RATIO, Reason.FLOAT_TOO_UNCERTAIN, Reason.VALIDATION, Reason.AMBIGUITY_OFF
+FIX_OK, FEW_AMBIGUITIES, NOT_SURE, TOO_UNCERTAIN, NOT_VALID, SWITCHED_OFF, TOO_RISKY = (int(reason) for reason in (
+    Reason.OK, Reason.FEW_AMBIGUITIES, Reason.RATIO, Reason.FLOAT_TOO_UNCERTAIN, Reason.VALIDATION, Reason.AMBIGUITY_OFF,
+    Reason.FAILURE_RATE,
 ))  # fmt: skip
 
 
@@ -102,6 +103,12 @@ class Resolution(NamedTuple):
 def not_resolved() -> Resolution:
     """Return the resolution of an epoch in which no integers were looked for."""
     return Resolution(SWITCHED_OFF, False, np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0)
+
+
+@kernel
+def withheld(r: Resolution) -> Resolution:
+    """Return the resolution of an epoch whose fix is not shown: it is wrong too probably."""
+    return Resolution(TOO_RISKY, False, r.x, r.P, r.ratio, r.odds, r.threshold, r.success, 0, 0, r.norm)
 
 
 @kernel
@@ -198,7 +205,8 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
             if memory[CONFIRMED] >= CONFIRMATIONS and free.odds >= setup.confidence * ACCEPT_AFTER_STREAK:
                 memory[SHOWN] = 1.0
         else:
-            doubt = doubt or log_odds(norm_of(f, held, other), norm, n) > RELEASE
+            against = free.odds >= setup.confidence * ACCEPT_AT_ONCE and free.norm <= NORM_LIMIT * len(free.pairs)
+            doubt = doubt or against or log_odds(norm_of(f, held, other), norm, n) > RELEASE
     note(f, doubt and memory[INFORMED] < INFORMED_EPOCHS, memory, prediction)
 
 

@@ -18,6 +18,7 @@ from rtkmesh.rtk.pairing import Pair
 from rtkmesh.rtk.session import EndOfStream, Session, SessionOptions, Source
 from rtkmesh.rtk.solution import Reason, Solution, Status
 from rtkmesh.rtk.track import Track, solutions_of
+from rtkmesh_services.cli.lookahead import looking_ahead
 from rtkmesh_services.cli.recordings import faults, open_recordings
 from rtkmesh_services.cli.spool import Spool
 from rtkmesh_services.errors import SourceError
@@ -131,13 +132,15 @@ class Run:
     """One run over recordings: ``solutions`` may be iterated once.
 
     ``tally`` counts what it has given so far; ``passes`` what each way through the recordings gave, where there are two; ``combined`` how
-    many epochs were combined how (``combination.How``). ``watch`` is called after every epoch, of either way.
+    many epochs were combined how (``combination.How``). ``watch`` is called after every epoch, of either way. ``causal``: nothing is
+    known before it is told, as in a replay.
     """
 
     inputs: Inputs
     options: SessionOptions
     kind: SolutionType = SolutionType.FORWARD
     watch: Callable[[], None] = _nobody
+    causal: bool = False
     tally: Tally = field(default_factory=Tally)
     passes: dict[SolutionType, Tally] = field(default_factory=dict[SolutionType, Tally])
     combined: dict[str, int] = field(default_factory=dict[str, int])
@@ -212,8 +215,8 @@ class Run:
 
     def _pairs(self, tally: Tally) -> Iterator[Pair]:
         """Yield all rover epochs with their base epochs, when what precedes them has been read; pairing is part of solving."""
-        session = self.session
-        for source, message in _merged(self.inputs):
+        session, items = self.session, _merged(self.inputs)
+        for source, message in items if self.causal else looking_ahead(items):
             session.feed(source, message)
             if isinstance(message, Epoch | EndOfStream):
                 started = perf_counter()

@@ -61,6 +61,15 @@ class Request:
             "know of it; a fix that one direction contradicts is not kept unless the evidence is for it."
         ),
     ] = "forward"
+    causal: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            show_default=False,
+            help="Know nothing before the recordings tell it, as on the spot: the same solutions as a replay. Without it ephemerides and "
+            "base position of the first two minutes count from the first epoch on.",
+        ),
+    ] = False
     frequencies: Annotated[int | None, Parameter(help="Carrier bands used per satellite, 1 to 5. Default: 2.")] = None
     systems: Annotated[
         str | None,
@@ -128,7 +137,7 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     date = day_of(request.date) if request.date else None
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date)
     options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
-    run = Run(inputs, options, SolutionType(request.direction))
+    run = Run(inputs, options, SolutionType(request.direction), causal=request.causal)
     try:
         with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()):
             _write(run, run.solutions(), request, output)
