@@ -60,6 +60,48 @@ class CommandsTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     periodic: tuple[str, ...] = ()
 
 
+MessageNumbers = Annotated[tuple[Annotated[int, Meta(ge=1, le=4095)], ...], Meta(max_length=200)]
+IdName = Annotated[str, Meta(min_length=1, max_length=64)]
+
+
+class CorrectionsTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[ingest.ID.corrections]``: what the receiver of the first source gets of the RTCM 3 of bases.
+
+    ``from``: ids of ingests; the first one that speaks is used, a later one when those before it are silent for ``fallback_after_s``.
+    ``set`` basic: observations and the station's place (1001 to 1006, 1009 to 1012, MSM, 1230); full: all. ``accept`` names the
+    messages instead, ``reject`` goes before both. ``link_bytes_per_s`` is what the link carries; of a serial port it is known, 0: no limit.
+    """
+
+    bases: tuple[IdName, ...] = msgspec.field(name="from")
+    accept: MessageNumbers = ()
+    reject: MessageNumbers = ()
+    set: Literal["basic", "full"] = "basic"
+    link_bytes_per_s: Annotated[float, Meta(ge=0.0, le=1e9)] | None = None
+    fallback_after_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 10.0
+
+
+class BaseStationTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[ingest.ID.base_station]``: where the antenna of this receiver stands, and who finds it out.
+
+    ``mode``: ``survey-in``: the receiver averages its position for at least ``minimum_s`` until it is good to ``accuracy_m``; ``fixed``:
+    it is told ``position_ecef_m`` or ``position_llh_deg`` (ellipsoidal height), good to ``accuracy_m``; ``preset``: it is told the saved
+    position ``preset``, and surveys it first where none is saved; ``average``: we average its fixes, it is told nothing; ``watch``: it is
+    told nothing, its 1005/1006 are watched. ``receiver`` is the language that it speaks. A position that is further than
+    ``moved_limit_m`` from where the station stood is an error.
+    """
+
+    mode: Literal["survey-in", "fixed", "average", "preset", "watch"]
+    receiver: Literal["ublox", "ublox-legacy", "unicore", "septentrio", "other"] = "other"
+    minimum_s: Annotated[float, Meta(ge=1.0, le=86400.0)] = 60.0
+    accuracy_m: Annotated[float, Meta(ge=0.001, le=100.0)] = 1.0
+    position_ecef_m: EcefVector | None = None
+    position_llh_deg: GeodeticVector | None = None
+    preset: Annotated[str, Meta(pattern="^[A-Za-z0-9_.-]{0,64}$")] = ""
+    datum: Annotated[str, Meta(max_length=64)] = ""
+    moved_limit_m: Annotated[float, Meta(ge=0.001, le=1e5)] = 0.1
+    check_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 10.0
+
+
 class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, ntrip:, ntrips:, file:, stdin:, sim:.
 
@@ -67,7 +109,8 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     that is better placed is taken again when it has been back for ``return_after_s``.
 
     ``position_ecef_m`` or ``position_llh_deg`` (lat, lon, ellipsoidal height) is the antenna's known position and replaces what the
-    stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``navigation`` marks a source of ephemerides only.
+    stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``options`` are RTKLIB's receiver options (``"-TADJ=0.1 -GL2L"``).
+    ``navigation`` marks a source of ephemerides only.
     """
 
     source: str
@@ -77,10 +120,13 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     position_ecef_m: EcefVector | None = None
     position_llh_deg: GeodeticVector | None = None
     date: str = ""
-    observations: Literal["auto", "ubx", "rtcm3"] = "auto"
+    observations: Literal["auto", "ubx", "rtcm3", "unicore", "novatel", "sbf"] = "auto"
+    options: str = ""
     navigation: bool = False
     raw: bool = True
     commands: CommandsTable = CommandsTable()
+    corrections: CorrectionsTable | None = None
+    base_station: BaseStationTable | None = None
 
     @property
     def replay(self) -> bool:
@@ -199,7 +245,7 @@ class OutputTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     time_form: Literal["calendar", "tow"] = "calendar"
     receiver: str = ""
     mounts: dict[str, str] = {}
-    protocol: Literal["rtcm3", "ubx", "nmea", "all"] = "rtcm3"
+    protocol: Literal["rtcm3", "ubx", "nmea", "unicore", "novatel", "sbf", "all"] = "rtcm3"
     messages: tuple[Annotated[int, Meta(ge=1, le=4095)], ...] = ()
     encode: Literal["", "msm4", "msm5", "msm7"] = ""
     station_id: Annotated[int, Meta(ge=0, le=4095)] = 0

@@ -5,6 +5,7 @@ from typing import Any, Final
 import msgspec
 
 from rtkmesh_schemas.attitude import AttitudeMessage
+from rtkmesh_schemas.base import BasePosition, SurveyStatus
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.keys import STREAMS, Kind, Role, Stream
@@ -18,6 +19,7 @@ MESSAGES: Final[dict[str, type[Wire]]] = {
     type_.__name__: type_
     for type_ in (
         AttitudeMessage,
+        BasePosition,
         Credit,
         EndOfStream,
         EphemerisMessage,
@@ -32,6 +34,7 @@ MESSAGES: Final[dict[str, type[Wire]]] = {
         SatellitesMessage,
         ServiceStatus,
         SolutionMessage,
+        SurveyStatus,
     )
 }
 SCHEMAS: Final[tuple[str, ...]] = (*sorted(MESSAGES), "Deployment")

@@ -200,11 +200,20 @@ def test_glonass_phase_needs_a_channel():
     assert decoder.counters.rejected["rtcm3/1084 cell of unknown frequency channel"] == 1
 
 
-@pytest.mark.parametrize("number", [1013, 1029, 1043, 1057, 1001, 1071, 4072, 4095, 0])
-def test_other_messages_are_counted_as_ignored(number: int):
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [
+        (1013, " (system parameters, not used)"), (1029, " (text, not used)"), (1057, " (SSR GPS orbits, not used)"),
+        (1062, " (SSR GPS high-rate clocks, not used)"), (1066, " (SSR GLONASS orbits and clocks, not used)"),
+        (1243, " (SSR Galileo orbits and clocks, not used)"), (1260, " (SSR BeiDou code biases, not used)"),
+        (1270, " (SSR BeiDou phase biases, not used)"), (4076, " (IGS SSR, not used)"), (1071, " (compact MSM, not used)"),
+        (1001, " (without the modulus of the pseudorange, not used)"), (4072, " (u-blox reference station, not used)"), (4095, ""), (0, ""),
+    ],
+)  # fmt: skip
+def test_other_messages_are_counted_as_ignored_by_what_they_are(number: int, name: str):
     decoder = Rtcm3Decoder(SATURDAY)
     assert decode(decoder, [frame((number << 4).to_bytes(2, "big") + bytes(30))]) == []
-    assert decoder.counters.ignored == {f"rtcm3/{number}": 1}
+    assert decoder.counters.ignored == {f"rtcm3/{number}{name}": 1}
 
 
 def test_an_overtaken_epoch_is_decoded_once_and_without_false_slips():

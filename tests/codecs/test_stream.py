@@ -87,6 +87,15 @@ def test_the_same_epoch_in_two_protocols_comes_once(source: str, protocol: Proto
     assert passed(Timeline(ObservationSource(source)), BOTH) == [arrival for arrival in BOTH if arrival[1] is protocol]
 
 
+def test_raw_protocols_are_preferred_to_rtcm():
+    """Unicore, SBF or NovAtel are taken after three epochs, two raw protocols change only when one is gone."""
+    for raw in (Protocol.UNICORE, Protocol.SBF, Protocol.NOVATEL):
+        found = passed(Timeline(ObservationSource.AUTO), [(t, raw if p is Protocol.UBX else p) for t, p in BOTH[1:]])
+        assert [p for _, p in found] == [Protocol.RTCM3, Protocol.RTCM3, Protocol.RTCM3, *[raw] * 47]
+    two = [(t, Protocol.UNICORE if p is Protocol.RTCM3 else p) for t, p in BOTH]
+    assert passed(Timeline(ObservationSource.AUTO), two) == [arrival for arrival in two if arrival[1] is Protocol.UBX]
+
+
 def test_the_protocol_that_delivers_more_takes_over():
     """If the chosen protocol dies or is damaged, the other one is taken once it is 30 epochs ahead."""
     arrivals = [*BOTH[:20], *((200.0 + i, Protocol.RTCM3) for i in range(60))]

@@ -15,7 +15,7 @@ from tests.e2e.conftest import Deployment
 from rtkmesh_schemas.keys import SOL
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.wire import decode
-from rtkmesh_services.cli.demo import config_path
+from rtkmesh_services.runtime.shipped import config_path
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 IDS = ("rover", "rover2", "base", "rtk", "heading_rtk", "heading", "hub")

@@ -15,7 +15,6 @@ from rtkmesh_schemas.observation import Observation
 from rtkmesh_schemas.wire import encode, encoding_of
 from rtkmesh_services.cli.check import check
 from rtkmesh_services.cli.cmd import arguments
-from rtkmesh_services.cli.demo import config_path
 from rtkmesh_services.cli.echo import full_expression, line_of, page_of
 from rtkmesh_services.cli.main import COMMANDS
 from rtkmesh_services.cli.network import EXIT_FAILED, EXIT_REFUSED, EXIT_TIMEOUT, EXIT_UNREACHABLE, EXIT_USAGE, exit_code
@@ -25,6 +24,7 @@ from rtkmesh_services.cli.up import Foreground
 from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_site
+from rtkmesh_services.runtime.shipped import config_path
 
 
 def rtkmesh(*words: str) -> "subprocess.CompletedProcess[str]":

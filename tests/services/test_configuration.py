@@ -327,3 +327,12 @@ def test_load_names_faults_with_lines(folder: Path):
         load_solver_table("wrong.toml", folder)
     with pytest.raises(ConfigErrors, match=r"two.toml:5: unknown table \[hub\]"):
         load_solver_table("two.toml", folder)
+
+
+def test_receiver_options_are_checked_where_they_stand():
+    """One clear error with the line and the nearest right name; those of RTKLIB pass as they are."""
+    good = GOOD.replace("[ingest.base]", 'options = "-EPHALL -TADJ=0.1 -GL2L -MULTICODE"\n\n[ingest.base]')
+    assert parse_deployment(good, "test.toml").ingest["rover"].options.startswith("-EPHALL")
+    (error,) = errors_of(good.replace("-EPHALL", "-EPHAL"))
+    assert error.message == "[ingest.rover] options: no receiver option '-EPHAL'; did you mean -EPHALL?"
+    assert error.line == 11

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from rtkmesh_schemas.keys import Role
-from rtkmesh_services.cli.demo import config_path, deployment_text
+from rtkmesh_services.cli.demo import deployment_text
 from rtkmesh_services.control.fleet import ONE_THREAD, LaunchOptions, clean_environment, restarts_between, specs_of
 from rtkmesh_services.runtime.configuration import load_site, parse_deployment
+from rtkmesh_services.runtime.shipped import config_path
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 TEXT = """

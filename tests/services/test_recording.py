@@ -7,11 +7,16 @@ import hatanaka
 import pytest
 
 from rtkmesh.codecs.messages import Message
+from rtkmesh.codecs.sbf_encode import encode_meas_epoch
 from rtkmesh.gnss.ephemeris import GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReferenceStation
-from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.epoch import Epoch, make_epoch
+from rtkmesh.gnss.signals import signal_number
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh_schemas.config import IngestTable
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.recording import RawRecording, Recording, RecordingKind, open_recording
+from rtkmesh_services.ingest.replay import recording_of
+from rtkmesh_services.ingest.urls import parse_source
 
 
 def line(content: str, label: str) -> str:
@@ -161,3 +166,17 @@ def test_chunks_are_the_bytes_of_the_log(size: int, data: Path) -> None:
     chunks = list(recording.chunks(size))
     assert b"".join(chunks) == gzip.decompress(path.read_bytes())
     assert max(map(len, chunks)) <= size
+
+
+def test_a_log_in_sbf_is_played_by_the_antenna_that_its_table_names(tmp_path: Path) -> None:
+    """Two antennas in one stream: one file, two ingests with RTKLIB's options."""
+    start = GpsTime(2350, 302_400.0)
+    columns = {"signal": [signal_number("1C")], "pseudorange_m": [2.2e7]}
+    main, other = ([make_epoch(start + k, satellite=[number], **columns) for k in range(3)] for number in (5, 7))
+    data = b"".join(encode_meas_epoch(a, others=b) for a, b in zip(main, other, strict=True))
+    url = parse_source(f"file://{written(tmp_path, data, 'rover.sbf')}")
+    for options, number in (("", 5), ("-AUX1", 7)):
+        recording = recording_of(url, IngestTable(source=f"file://{tmp_path}/rover.sbf", options=options))
+        found = [message for message in recording.messages() if isinstance(message, Epoch)]
+        assert recording.kind is RecordingKind.SBF
+        assert [(epoch.time, epoch.satellite.tolist()) for epoch in found] == [(start + k, [number]) for k in range(3)]

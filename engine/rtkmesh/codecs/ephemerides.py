@@ -40,7 +40,7 @@ def lnav_ephemeris(satellite: int, blocks: dict[int, int], near: GpsTime) -> Kep
     sent = GpsTime.normalized(resolve_week(int(clock["week"]), 10, near), clock["tow_s"])
     half_s = gps_fit_s(iodc) if second["fit"] else GPS_FIT_S
     fit_s = QZSS_FIT_S if satellite // SATELLITES_PER_SYSTEM == QZSS else half_s
-    return _kepler(
+    return kepler_ephemeris(
         satellite, NavigationMessage.LNAV, clock | second | third, sent, (iode, iodc), fit_s,
         accuracy_m=accuracy_m(URA_M, int(clock["ura"])), health=int(clock["health"]), delays_s=(clock["tgd_s"], 0.0),
     )  # fmt: skip
@@ -67,7 +67,7 @@ def inav_ephemeris(satellite: int, blocks: dict[int, int], near: GpsTime | None)
     last = words[5]
     sent = inav_time(last, near)
     health = int(last["invalid_e1b"]) | int(last["health_e1b"]) << 1 | int(last["invalid_e5b"]) << 6 | int(last["health_e5b"]) << 7
-    return _kepler(
+    return kepler_ephemeris(
         satellite, NavigationMessage.INAV, words[1] | words[2] | words[3] | words[4], sent, (issue, issue), GALILEO_FIT_S,
         accuracy_m=accuracy_m(SISA_M, int(words[3]["sisa"])), health=health, delays_s=(last["bgd_e5a_s"], last["bgd_e5b_s"]),
     )  # fmt: skip
@@ -98,16 +98,17 @@ def beidou_time(values: Values) -> GpsTime:
 
 def _beidou(satellite: int, message: NavigationMessage, values: Values) -> KeplerEphemeris | None:
     in_gpst = {name: values[name] - BDT_MINUS_GPST_S for name in ("toe_s", "toc_s")}
-    return _kepler(
+    return kepler_ephemeris(
         satellite, message, values | in_gpst, beidou_time(values), (int(values["aode"]), int(values["aodc"])), BEIDOU_FIT_S,
         accuracy_m=accuracy_m(URA_M, int(values["urai"])), health=int(values["health"]), delays_s=(values["tgd1_s"], values["tgd2_s"]),
     )  # fmt: skip
 
 
-def _kepler(
+def kepler_ephemeris(
     satellite: int, message: NavigationMessage, values: Values, sent: GpsTime, issues: tuple[int, int], fit_s: float,
     *, accuracy_m: float, health: int, delays_s: tuple[float, float],
 ) -> KeplerEphemeris | None:  # fmt: skip
+    """Return the ephemeris of the values of ``_ORBIT``, ``toe_s`` and ``toc_s`` (GPST), sent at a time; None where they are of no orbit."""
     if not (4000.0 < values["sqrt_a"] < 8000.0 and values["eccentricity"] < 0.5 and sent.week >= 0):
         return None
     if not (values["toe_s"] < SECONDS_PER_WEEK + 14.0 and values["toc_s"] < SECONDS_PER_WEEK + 14.0):

@@ -1,4 +1,4 @@
-"""Whole, checksum-verified frames out of a mixed byte stream of UBX, RTCM 3 and NMEA 0183.
+"""Whole, checksum-verified frames out of a mixed byte stream of UBX, RTCM 3, NMEA 0183, Unicore's and NovAtel's logs, SBF.
 
 Rules of this file: the frames depend only on the bytes, never on how they were cut into pieces; a false or damaged frame costs
 one byte (the next candidate is searched from the byte after its first), so it never takes a good frame with it; nothing raises;
@@ -12,23 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.codecs.candidates import BAD_CHECKSUM, NEEDS_MORE, NO_FRAME, hex_value
 from rtkmesh.codecs.checksums import crc24q_range, fletcher16_range
+from rtkmesh.codecs.framing_sbf import SBF_SECOND, sbf_candidate, sbf_number
+from rtkmesh.codecs.framing_unicore import ASCII_LOG_MAX_LENGTH, UNICORE_LOGS, ascii_log_candidate, is_novatel_log, unicore_candidate
 from rtkmesh.codecs.messages import Frame, FramingCounters, Protocol
 
-FRAMED: Final = (Protocol.UBX, Protocol.RTCM3, Protocol.NMEA)  # the order is the kernels' numbering
-_UBX, _RTCM3, _NMEA = 0, 1, 2
+# The order is the numbering of the kernels, and of the bits of their masks.
+FRAMED: Final = (Protocol.UBX, Protocol.RTCM3, Protocol.NMEA, Protocol.UNICORE, Protocol.NOVATEL, Protocol.SBF)
+_UBX, _RTCM3, _NMEA, _UNICORE, _NOVATEL, _SBF = range(6)
 
 UBX_OVERHEAD: Final = 8
 UBX_MAX_PAYLOAD: Final = 8192  # RXM-RAWX of 255 measurements has 8176; bounds the wait for a false header
 RTCM3_OVERHEAD: Final = 6
 NMEA_MAX_LENGTH: Final = 1024  # the standard says 82; proprietary sentences (PUBX,03) exceed 600
 
-# What a candidate is (negative: not a whole frame).
-_NO_FRAME, _NEEDS_MORE, _BAD_CHECKSUM = -1, -2, -3
+LONGEST_FRAME: Final = ASCII_LOG_MAX_LENGTH  # of all protocols: no more is held back
 
-_NMEA_ADDRESS, _MAX_KINDS = 8, 1000  # longest address, and number of kinds, that get a counter of their own
-
-_RTCM3_KEYS = 1 << 16  # behind the keys of UBX: class * 256 + id
+_NAME_LENGTH, _MAX_KINDS = 16, 1000  # longest name of a sentence or log, and number of kinds, that get a counter of their own
 
 _BATCH = 512  # frames per call of the scan kernel
 _new: Final = tuple[Protocol | str | bytes, ...].__new__  # takes half the time of the constructor of a named tuple
@@ -38,46 +39,35 @@ _new: Final = tuple[Protocol | str | bytes, ...].__new__  # takes half the time 
 def ubx_candidate(data: bytes, start: int, end: int) -> int:
     """Return the length of the UBX frame at ``start`` (its first byte is B5), or why there is none."""
     if start + 2 > end:
-        return _NEEDS_MORE
+        return NEEDS_MORE
     if data[start + 1] != 0x62:
-        return _NO_FRAME
+        return NO_FRAME
     if start + 6 > end:
-        return _NEEDS_MORE
+        return NEEDS_MORE
     payload = int(data[start + 4]) | int(data[start + 5]) << 8
     if payload > UBX_MAX_PAYLOAD:
-        return _NO_FRAME
+        return NO_FRAME
     stop = start + payload + UBX_OVERHEAD
     if stop > end:
-        return _NEEDS_MORE
+        return NEEDS_MORE
     sent = int(data[stop - 2]) | int(data[stop - 1]) << 8
-    return stop - start if fletcher16_range(data, start + 2, stop - 2) == sent else _BAD_CHECKSUM
+    return stop - start if fletcher16_range(data, start + 2, stop - 2) == sent else BAD_CHECKSUM
 
 
 @kernel
 def rtcm3_candidate(data: bytes, start: int, end: int) -> int:
     """Return the length of the RTCM 3 frame at ``start`` (its first byte is D3), or why there is none (RTCM 10403.3, 4)."""
     if start + 2 > end:
-        return _NEEDS_MORE
+        return NEEDS_MORE
     if data[start + 1] & 0xFC:
-        return _NO_FRAME
+        return NO_FRAME
     if start + 3 > end:
-        return _NEEDS_MORE
+        return NEEDS_MORE
     stop = start + (int(data[start + 1]) << 8 | int(data[start + 2])) + RTCM3_OVERHEAD
     if stop > end:
-        return _NEEDS_MORE
+        return NEEDS_MORE
     sent = int(data[stop - 3]) << 16 | int(data[stop - 2]) << 8 | int(data[stop - 1])
-    return stop - start if crc24q_range(data, start, stop - 3) == sent else _BAD_CHECKSUM
-
-
-def _hex_table() -> NDArray[np.int64]:
-    """Return the values of hexadecimal digits by ASCII character, 256 where there is none."""
-    table = np.full(256, 256, np.int64)
-    for value, character in enumerate("0123456789ABCDEF"):
-        table[ord(character)] = table[ord(character.lower())] = value
-    return table
-
-
-_HEX = _hex_table()
+    return stop - start if crc24q_range(data, start, stop - 3) == sent else BAD_CHECKSUM
 
 
 @kernel
@@ -89,25 +79,64 @@ def nmea_candidate(data: bytes, start: int, end: int) -> int:
     star, check = start + 1, 0
     while True:
         if star >= start + NMEA_MAX_LENGTH:
-            return _NO_FRAME
+            return NO_FRAME
         if star >= end:
-            return _NEEDS_MORE
+            return NEEDS_MORE
         character = int(data[star])
         if character == 42:
             break
         if character < 32 or character > 126 or character == 36:
-            return _NO_FRAME
+            return NO_FRAME
         check ^= character  # NMEA 0183 5.2.2
         star += 1
     stop = star + 3
     if end > stop and data[stop] == 13:
         stop += 1
     if end <= stop:
-        return _NEEDS_MORE
-    high, low = int(_HEX[data[star + 1]]), int(_HEX[data[star + 2]])
-    if data[stop] != 10 or high > 15 or low > 15:
-        return _NO_FRAME
-    return stop + 1 - start if check == high * 16 + low else _BAD_CHECKSUM
+        return NEEDS_MORE
+    sent = hex_value(data, star + 1, 2)
+    if data[stop] != 10 or sent < 0:
+        return NO_FRAME
+    return stop + 1 - start if check == sent else BAD_CHECKSUM
+
+
+@kernel
+def candidate_at(data: bytes, start: int, end: int, protocols: int) -> tuple[int, int]:
+    """Return the length of the frame at ``start`` (or why there is none) and the number of its protocol, one of the mask ``protocols``."""
+    head = data[start]
+    if head == 0xB5 and protocols & 1 << _UBX:
+        return ubx_candidate(data, start, end), _UBX
+    if head == 0xD3 and protocols & 1 << _RTCM3:
+        return rtcm3_candidate(data, start, end), _RTCM3
+    if head == 36 and protocols & 1 << _SBF and (start + 1 == end or data[start + 1] == SBF_SECOND):
+        return sbf_candidate(data, start, end), _SBF
+    if head == 36 and protocols & 1 << _NMEA:
+        return nmea_candidate(data, start, end), _NMEA
+    if head == 0xAA and protocols & 1 << _UNICORE:
+        return unicore_candidate(data, start, end), _UNICORE
+    if head == 35 and protocols & (1 << _UNICORE | 1 << _NOVATEL):
+        length = ascii_log_candidate(data, start, end)
+        protocol = _NOVATEL if length > 0 and is_novatel_log(data, start) else _UNICORE
+        return length if protocols & 1 << protocol or length < 0 else NO_FRAME, protocol
+    return NO_FRAME, 0
+
+
+@kernel
+def key_of(data: bytes, start: int, length: int, protocol: int) -> int:
+    """Return what tells the kind of a whole frame: a number of its protocol's, or minus the end of its name where it is text."""
+    head = data[start]
+    if protocol == _SBF:
+        return sbf_number(data, start)
+    if head == 36 or head == 35:
+        end = start
+        while data[end] != 44 and data[end] != 42:
+            end += 1
+        return -end
+    if protocol == _UBX:
+        return int(data[start + 2]) << 8 | int(data[start + 3])
+    if protocol == _RTCM3:
+        return int(data[start + 3]) << 4 | int(data[start + 4]) >> 4 if length > RTCM3_OVERHEAD + 1 else 0
+    return int(data[start + 4]) | int(data[start + 5]) << 8
 
 
 @kernel
@@ -116,37 +145,22 @@ def scan_frames(
 ) -> tuple[int, int, int]:
     """Find whole frames from ``start`` on.
 
-    ``protocols`` is a mask of the protocols looked for; ``found`` is filled with frames (rows: start, end, key),
+    ``protocols`` is a mask of the protocols looked for; ``found`` is filled with frames (rows: start, end, key, protocol),
     ``failures`` counts failed checksums by protocol. With ``final`` no candidate waits for more bytes. Returns the number of
     frames, the first byte not decided yet, and the number of bytes that belong to no frame.
     """
     end, position, count, skipped = len(data), start, 0, 0
     while position < end and count < len(found):
-        head = data[position]
-        length, protocol = _NO_FRAME, 0
-        if head == 0xB5 and protocols & 1:
-            length, protocol = ubx_candidate(data, position, end), _UBX
-        elif head == 0xD3 and protocols & 2:
-            length, protocol = rtcm3_candidate(data, position, end), _RTCM3
-        elif head == 36 and protocols & 4:
-            length, protocol = nmea_candidate(data, position, end), _NMEA
+        length, protocol = candidate_at(data, position, end, protocols)
         if length > 0:
-            key = -position
-            if protocol == _UBX:
-                key = int(data[position + 2]) << 8 | int(data[position + 3])
-            elif protocol == _RTCM3:
-                number = int(data[position + 3]) << 4 | int(data[position + 4]) >> 4
-                key = _RTCM3_KEYS + (number if length > RTCM3_OVERHEAD + 1 else 0)
-            else:
-                while data[-key] != 44 and data[-key] != 42:
-                    key -= 1
-            found[count, 0], found[count, 1], found[count, 2] = position, position + length, key
+            found[count, 0], found[count, 1], found[count, 3] = position, position + length, protocol
+            found[count, 2] = key_of(data, position, length, protocol)
             count += 1
             position += length
             continue
-        if length == _NEEDS_MORE and not final:
+        if length == NEEDS_MORE and not final:
             break
-        if length == _BAD_CHECKSUM:
+        if length == BAD_CHECKSUM:
             failures[protocol] += 1
         position += 1
         skipped += 1
@@ -160,9 +174,9 @@ class Framer:
         self.counters = FramingCounters()
         self._mask = sum(1 << index for index, protocol in enumerate(FRAMED) if protocol in protocols)
         self._pending = b""
-        self._found = np.zeros((_BATCH, 3), np.int64)
+        self._found = np.zeros((_BATCH, 4), np.int64)
         self._failures = np.zeros(len(FRAMED), np.int64)
-        self._kinds: dict[bytes | int, tuple[Protocol, str, str]] = {}
+        self._kinds: list[dict[bytes | int, tuple[Protocol, str, str]]] = [{} for _ in FRAMED]
 
     @property
     def pending(self) -> int:
@@ -197,28 +211,34 @@ class Framer:
     def _count_failures(self) -> None:
         if self._failures.any():
             for protocol, failures in zip(FRAMED, self._failures.tolist(), strict=True):
-                self.counters.checksum_failures[protocol] += failures
+                if failures:
+                    self.counters.checksum_failures[protocol] += failures
             self._failures[:] = 0
 
     def _append_frames(self, frames: list[Frame], data: bytes, found: list[list[int]]) -> None:
         kinds = self._kinds
         seen: list[str] = []
-        for start, end, key in found:
+        for start, end, key, number in found:
             name: bytes | int = key if key >= 0 else data[start + 1 : -key]
-            protocol, kind, label = kinds.get(name) or self._name(name)
+            protocol, kind, label = kinds[number].get(name) or self._name(number, name)
             seen.append(label)
             frames.append(_new(Frame, (protocol, kind, data[start:end])))
         self.counters.frames.update(seen)
 
-    def _name(self, key: bytes | int) -> tuple[Protocol, str, str]:
+    def _name(self, number: int, key: bytes | int) -> tuple[Protocol, str, str]:
         """Return the kind of a message and its name in the counters (the odd ones share one: a hostile stream must not fill memory)."""
-        if isinstance(key, bytes):
-            protocol, kind = Protocol.NMEA, key.decode("ascii")
-            if len(key) > _NMEA_ADDRESS or len(self._kinds) > _MAX_KINDS:
-                return protocol, kind, "nmea/other"
-        elif key >= _RTCM3_KEYS:
-            protocol, kind = Protocol.RTCM3, str(key - _RTCM3_KEYS)
-        else:
-            protocol, kind = Protocol.UBX, f"{key >> 8:02x}-{key & 255:02x}"
-        self._kinds[key] = protocol, kind, f"{protocol}/{kind}"
-        return self._kinds[key]
+        protocol, kinds = FRAMED[number], self._kinds[number]
+        kind = key.decode("ascii") if isinstance(key, bytes) else _numbered_kind(number, key)
+        if len(kind) > _NAME_LENGTH or len(kinds) > _MAX_KINDS:
+            return protocol, kind, f"{protocol}/other"
+        kinds[key] = protocol, kind, f"{protocol}/{kind}"
+        return kinds[key]
+
+
+def _numbered_kind(number: int, key: int) -> str:
+    """Return the kind of a message that has a number."""
+    if number == _UBX:
+        return f"{key >> 8:02x}-{key & 255:02x}"
+    if number == _UNICORE and key in UNICORE_LOGS:
+        return f"{UNICORE_LOGS[key]}B"
+    return str(key)

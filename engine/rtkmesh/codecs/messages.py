@@ -8,9 +8,11 @@ from collections import Counter
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
+from typing import Protocol as Interface
 
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, KlobucharParameters, ReceiverFix, ReferenceStation
 from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.receiver import ReceiverReport
 
 
 class Protocol(StrEnum):
@@ -20,13 +22,16 @@ class Protocol(StrEnum):
     RTCM3 = "rtcm3"
     NMEA = "nmea"
     UNICORE = "unicore"
+    NOVATEL = "novatel"
     SBF = "sbf"
 
 
 class Frame(NamedTuple):
     """One whole, checksum-verified frame as it came, header and checksum included.
 
-    ``kind`` names the message: UBX ``"02-15"`` (class-id in hex), RTCM 3 ``"1077"``, NMEA ``"GNGGA"``.
+    ``kind`` names the message: UBX ``"02-15"`` (class-id in hex), RTCM 3 ``"1077"``, NMEA ``"GNGGA"``,
+    Unicore ``"OBSVMB"`` (binary) and ``"OBSVMA"`` (ASCII), or the number of a binary log that has no name here,
+    SBF the number of the block, ``"4027"``.
     """
 
     protocol: Protocol
@@ -34,7 +39,7 @@ class Frame(NamedTuple):
     data: bytes
 
 
-Message = Epoch | Ephemeris | KlobucharParameters | ReferenceStation | GlonassBias | ReceiverFix
+Message = Epoch | Ephemeris | KlobucharParameters | ReferenceStation | GlonassBias | ReceiverFix | ReceiverReport
 
 
 @dataclass(slots=True)
@@ -55,3 +60,13 @@ class DecodingCounters:
     decoded: Counter[str] = field(default_factory=Counter[str])
     ignored: Counter[str] = field(default_factory=Counter[str])
     rejected: Counter[str] = field(default_factory=Counter[str])
+
+
+class Decoder(Interface):
+    """Decodes the frames of one protocol."""
+
+    counters: DecodingCounters
+
+    def decode(self, frame: Frame) -> list[Message]:
+        """Return the messages that a frame completes; never raises for what a peer sent."""
+        ...

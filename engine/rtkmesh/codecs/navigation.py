@@ -31,9 +31,14 @@ from rtkmesh.codecs.navigation_words import (
     LNAV_MESSAGE,
     NO_CLOCK,
     OWN_CLOCK,
+    QUIET,
+    REFUSALS,
+    Refusal,
+    Words,
     block_of,
     new_satellites,
     set_is_whole,
+    take_block,
 )  # fmt: skip
 from rtkmesh.codecs.subframes import D1, D2_EPHEMERIS, D2_PAGE_BITS, GLONASS_STRING, GLONASS_TB_UNIT_S, INAV, LNAV
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
@@ -61,10 +66,11 @@ class NavigationDecoder:
     """Turns the navigation blocks of one stream into ephemerides and ionosphere parameters.
 
     The kernels of ``navigation_words`` take a block into ``satellites``, with the time that ``now`` says (what is known of it, week, time
-    of week in s); ``look`` makes of it what can be made.
+    of week in s); ``look`` makes of it what can be made. With ``repeats`` a set that says nothing new is published as well.
     """
 
-    def __init__(self, approximate_time: GpsTime | None = None) -> None:
+    def __init__(self, approximate_time: GpsTime | None = None, *, repeats: bool = False) -> None:
+        self._repeats = repeats
         self.satellites = new_satellites(MAX_SATELLITE)
         self.now = (NO_CLOCK, 0, 0.0)
         self._time: GpsTime | None = None
@@ -91,6 +97,13 @@ class NavigationDecoder:
             self.satellites[satellite]["settled"] = 0
             found += self._publish(satellite, message)
         return found
+
+    def take(self, satellite: int, message: int, words: Words, channel: int = 0, frame: int = 0) -> list[NavigationData] | Refusal:
+        """Take one block (see ``navigation_words``); return what comes of it, or why it is refused."""
+        result = take_block(self.satellites, satellite, message, words, channel, frame, *self.now)
+        if result >= 0:
+            return self.look(satellite, message, result)
+        return [] if result == QUIET else REFUSALS[result]
 
     def look(self, satellite: int, message: int, index: int) -> list[NavigationData]:
         """Return what comes of the block with this index that a kernel says is to be looked at."""
@@ -156,6 +169,9 @@ class NavigationDecoder:
 
     def _settle(self, satellite: int, ephemeris: Ephemeris | None) -> list[NavigationData]:
         """Publish an ephemeris unless it is none, or differs from the last one at most in its time of transmission."""
+        if self._repeats:  # the next one is one of new blocks
+            self.satellites[satellite]["held"] = 0
+            return [] if ephemeris is None else [ephemeris]
         self.satellites[satellite]["settled"] = 1
         last = self._published.get(satellite)
         if ephemeris is None or (last is not None and _says_the_same(ephemeris, last)):

@@ -250,3 +250,18 @@ def keep_block(
     # A time that was not given, or the ionosphere of D1, may come of a block alone.
     of_time = clock != GIVEN_CLOCK and index == 5 and (message == INAV_MESSAGE or (is_glonass and not state["settled"]))
     return first or of_time or (message == D1_MESSAGE and index == 1 and not state["settled"])
+
+
+@kernel
+def take_block(
+    satellites: Satellites, satellite: int, message: int, words: Words, channel: int, frame: int, clock: int, week: int, tow_s: float
+) -> int:  # fmt: skip
+    """Check and keep the block in ``words`` (see ``check_block`` and ``keep_block``).
+
+    Returns its index if it must be looked at, QUIET if not, or what is wrong with it.
+    """
+    result = check_block(satellite, message, words, clock)
+    if result < 0:
+        return result
+    news = keep_block(satellites, satellite, message, result, words, channel, frame, clock, week, tow_s)
+    return result if news or set_is_whole(satellites, satellite, message, clock) else QUIET

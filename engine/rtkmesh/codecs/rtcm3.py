@@ -16,6 +16,7 @@ from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
 from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS as EPHEMERIDES
 from rtkmesh.codecs.rtcm3_ephemeris import EphemerisDecoder
 from rtkmesh.codecs.rtcm3_epochs import EpochGatherer
+from rtkmesh.codecs.rtcm3_known import known_name
 from rtkmesh.codecs.rtcm3_legacy import LegacyDecoder
 from rtkmesh.codecs.rtcm3_msm import SYSTEM_OF_GROUP, Part, decode_msm
 from rtkmesh.codecs.rtcm3_station import StationDecoder
@@ -30,6 +31,7 @@ MSM: Final = frozenset(10 * group + level for group in SYSTEM_OF_GROUP for level
 _TEN_BIT_WEEKS: Final = (1019, 1041, 1044)
 _HALF_AN_ERA: Final = 512  # weeks
 OBSERVATIONS: Final = MSM | frozenset(rtcm3_legacy.NUMBERS)
+_WITH_STATION: Final = OBSERVATIONS | frozenset(rtcm3_station.NUMBERS)
 
 
 def _never(_: Ephemeris) -> bool:
@@ -39,10 +41,14 @@ def _never(_: Ephemeris) -> bool:
 class Rtcm3Decoder:
     """Decoder of one stream. ``approximate_time`` must be within three days of the stream's first epoch.
 
-    An ephemeris that repeats the last one of its satellite is left out if ``is_known`` says so of that one (by default never).
+    An ephemeris that repeats the last one of its satellite is left out if ``is_known`` says so of that one (by default never). ``station``:
+    messages of other stations are left out.
     """
 
-    def __init__(self, approximate_time: GpsTime | None = None, is_known: Callable[[Ephemeris], bool] = _never) -> None:
+    def __init__(
+        self, approximate_time: GpsTime | None = None, is_known: Callable[[Ephemeris], bool] = _never, *, station: int | None = None
+    ) -> None:  # fmt: skip
+        self._station_id = station
         self.counters = DecodingCounters()
         self._channels: NDArray[np.int8] = np.full(SATELLITES_PER_SYSTEM, NO_CHANNEL, np.int8)
         self._gatherer = EpochGatherer(approximate_time, self.counters.rejected)
@@ -66,6 +72,9 @@ class Rtcm3Decoder:
             return []
         number = payload[0] << 4 | payload[1] >> 4
         kind = f"rtcm3/{number}"
+        if self._is_of_another_station(payload, number):
+            self.counters.ignored[f"{kind} of another station"] += 1
+            return []
         if number in OBSERVATIONS:
             if self._gatherer.clock is None:
                 return self._hold(frame, kind)
@@ -75,8 +84,14 @@ class Rtcm3Decoder:
             return self._ephemeris(payload, number, kind)
         if number in rtcm3_station.NUMBERS:
             return self._station(payload, number, kind)
-        self.counters.ignored[kind] += 1
+        self.counters.ignored[f"{kind} {known_name(number)}".rstrip()] += 1
         return []
+
+    def _is_of_another_station(self, payload: bytes, number: int) -> bool:
+        """Return whether a message names a station (12 bits behind its number), and it is not the wanted one."""
+        if self._station_id is None or len(payload) < 3 or number not in _WITH_STATION:
+            return False
+        return int.from_bytes(payload[1:3], "big") & 0xFFF != self._station_id
 
     def flush(self) -> list[Message]:
         """End the stream: return the unfinished epoch; what still waits for a time is counted as rejected."""

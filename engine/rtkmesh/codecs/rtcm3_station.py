@@ -105,7 +105,7 @@ def _decode_descriptors(payload: bytes, number: int, known: ReferenceStation) ->
     for index in range({1007: 1, 1008: 2, 1033: 5}[number]):
         if at >= len(payload) or at + 1 + payload[at] > len(payload):
             return "too short"
-        texts.append(_printable(payload[at + 1 : at + 1 + payload[at]]))
+        texts.append(printable(payload[at + 1 : at + 1 + payload[at]]))
         at += 1 + payload[at] + (1 if index == 0 else 0)  # behind the antenna stands the setup id, DF031
     station = replace(known, antenna=texts[0])
     if number == 1007:
@@ -114,7 +114,7 @@ def _decode_descriptors(payload: bytes, number: int, known: ReferenceStation) ->
     return replace(station, receiver=f"{texts[2]} {texts[3]}".strip()) if number == 1033 else station
 
 
-def _printable(text: bytes) -> str:
+def printable(text: bytes) -> str:
     """Return the printable ASCII characters only: what comes from the wire ends on screens."""
     return "".join(chr(character) for character in text if 32 <= character < 127).strip()
 

@@ -1,15 +1,15 @@
 """One receiver's byte stream to messages: framing, all decoders, and one timeline of epochs.
 
 Epochs leave in the order in which they came, each once; an epoch that was overtaken on its way by a few seconds is passed on
-late (pairing puts it in its place), older ones are refused. A stream may carry the same observations as UBX and as RTCM 3 (a
-base that logs what it sends): then only one of the two is used, because their time tags differ by milliseconds and their phases
-by integers and a clock term, so that every change from one to the other breaks all ambiguities. UBX is preferred: it says more
-(Doppler, sigmas, all signals), and an epoch is whole or not there, while RTCM 3 may lose one system's message of five.
+late (pairing puts it in its place), older ones are refused. A stream may carry the same observations in a raw protocol and as RTCM 3
+(a base that logs what it sends): then only one of the two is used, because their time tags differ by milliseconds and their phases
+by integers and a clock term, so that every change from one to the other breaks all ambiguities. Raw protocols are preferred: they say
+more (Doppler, sigmas, all signals), and an epoch is whole or not there, while RTCM 3 may lose one system's message of five.
 """
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import groupby
 from operator import attrgetter
@@ -18,12 +18,16 @@ from typing import Final
 import numpy as np
 
 from rtkmesh.codecs.framing import FRAMED, Framer
-from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message, Protocol
+from rtkmesh.codecs.messages import Decoder, DecodingCounters, Frame, FramingCounters, Message, Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
+from rtkmesh.codecs.option_stage import OptionStage
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
+from rtkmesh.codecs.sbf import SbfDecoder
 from rtkmesh.codecs.ubx import SFRBX, UbxDecoder
+from rtkmesh.codecs.unicore import MAIN_ANTENNA, UnicoreDecoder
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReceiverFix
 from rtkmesh.gnss.epoch import SLIP, Epoch
+from rtkmesh.gnss.receiver_options import ReceiverOptions
 from rtkmesh.gnss.time import GpsTime
 
 
@@ -33,28 +37,37 @@ class ObservationSource(StrEnum):
     AUTO = "auto"
     UBX = "ubx"
     RTCM3 = "rtcm3"
+    UNICORE = "unicore"
+    NOVATEL = "novatel"
+    SBF = "sbf"
 
 
 @dataclass(frozen=True, slots=True)
 class StreamOptions:
     """Options of a stream decoder.
 
-    ``approximate_time`` (within three days of the first epoch) settles weeks until the stream does it itself.
+    ``receiver`` are RTKLIB's options. ``approximate_time`` (within three days of the first epoch) settles weeks until the stream does it
+    itself. ``antenna`` 2 takes the observations of a receiver's second antenna (3: of its third): those that the receiver sends as
+    RTCM 3 are of its first one and are refused then.
     """
 
     protocols: Collection[Protocol] = FRAMED
     observations: ObservationSource | str = ObservationSource.AUTO
     approximate_time: GpsTime | None = None
+    receiver: ReceiverOptions = field(default_factory=ReceiverOptions)
+    antenna: int = MAIN_ANTENNA
 
 
 _SAME_EPOCH_S: Final = 5e-4  # epochs of one protocol that are closer than this are the same
 _OVERTAKEN_S: Final = 5.0  # an epoch may come after newer ones by this much
 _RECENT: Final = 256  # epochs that are remembered to tell a late one from a repeated one
 _NEW_TIMELINE: Final = 5  # so many rising epochs in the past mean that the clock was set back, not that they are late
-_TO_PREFERRED: Final = 3  # epochs of UBX after which it is taken instead of RTCM 3
-_TO_OTHER: Final = 30  # epochs of RTCM 3 without one of UBX between after which UBX counts as gone
+_TO_PREFERRED: Final = 3  # epochs of a raw protocol after which it is taken instead of RTCM 3
+_TO_OTHER: Final = 30  # epochs of another protocol without one of the chosen one between after which that counts as gone
 _TELL_TIME_S: Final = 3600.0
+_MAX_KINDS: Final = 1000  # kinds of frames that nobody decodes with a counter of their own
 _KIND: Final = attrgetter("kind")
+_OF_SEVERAL_ANTENNAS: Final = (Protocol.UNICORE, Protocol.SBF)
 _OTHER_SOURCE: Final = "of the other source"
 
 
@@ -64,7 +77,7 @@ class Timeline:
     def __init__(self, source: ObservationSource) -> None:
         self._fixed = None if source is ObservationSource.AUTO else Protocol(source.value)
         self._chosen = self._fixed
-        self._others = 0  # epochs of the other protocol since the last one of the chosen protocol
+        self._others: Counter[Protocol] = Counter()  # epochs of the other protocols since the last one of the chosen protocol
         self._last: GpsTime | None = None
         self._recent: deque[GpsTime] = deque(maxlen=_RECENT)
         self._past: list[GpsTime] = []
@@ -91,17 +104,19 @@ class Timeline:
     def switches(self, protocol: Protocol) -> bool:
         """Count an epoch of a protocol; return whether it becomes the chosen one with it.
 
-        The preferred one is taken when it has come a few times, the other one when the preferred one is gone.
+        A raw one is taken instead of RTCM 3 when it has come a few times, any other one when the chosen one is gone.
         """
         if self._fixed or self._chosen is None:
             return False
         if protocol is self._chosen:
-            self._others = 0
+            if protocol is not Protocol.RTCM3:  # beside RTCM 3 each epoch of a raw protocol counts
+                self._others.clear()
             return False
-        self._others += 1
-        if self._others < (_TO_PREFERRED if protocol is Protocol.UBX else _TO_OTHER):
+        self._others[protocol] += 1
+        if self._others[protocol] < (_TO_PREFERRED if self._chosen is Protocol.RTCM3 else _TO_OTHER):
             return False
-        self._chosen, self._others = protocol, 0
+        self._chosen = protocol
+        self._others.clear()
         return True
 
     def _clock_was_set_back(self, time: GpsTime) -> bool:
@@ -120,9 +135,20 @@ class StreamDecoder:
     def __init__(self, options: StreamOptions | None = None) -> None:
         options = options or StreamOptions()
         self._framer = Framer(options.protocols)
-        self._ubx = UbxDecoder(options.approximate_time)
-        self._rtcm3 = Rtcm3Decoder(options.approximate_time, self._is_published)
-        self._nmea = NmeaDecoder(options.approximate_time)
+        near, wanted = options.approximate_time, options.receiver
+        self._repeats, self._stage = wanted.all_ephemerides, OptionStage(wanted)
+        self._ubx = UbxDecoder(near, repeats=self._repeats)
+        self._rtcm3 = Rtcm3Decoder(near, self._is_published, station=wanted.station)
+        antenna = max(options.antenna, MAIN_ANTENNA + wanted.antenna)
+        self._sbf = SbfDecoder(near, antenna - MAIN_ANTENNA, repeats=self._repeats)
+        self._decoders: dict[Protocol, Decoder] = {
+            Protocol.UBX: self._ubx,
+            Protocol.RTCM3: self._rtcm3,
+            Protocol.NMEA: NmeaDecoder(near),
+            Protocol.UNICORE: UnicoreDecoder(antenna),
+            Protocol.SBF: self._sbf,
+        }
+        self._is_main = antenna == MAIN_ANTENNA
         self._timeline = Timeline(ObservationSource(options.observations))
         self._told: GpsTime | None = None
         self._published: dict[tuple[int, int], tuple[object, ...]] = {}
@@ -138,7 +164,7 @@ class StreamDecoder:
     def decoding(self) -> DecodingCounters:
         """What the decoders saw, all together; ``epochs`` are those passed on."""
         total = DecodingCounters(epochs=self._dropped.epochs)
-        for counters in (self._ubx.counters, self._rtcm3.counters, self._nmea.counters, self._dropped):
+        for counters in (*(decoder.counters for decoder in self._decoders.values()), self._dropped):
             total.decoded.update(counters.decoded)
             total.ignored.update(counters.ignored)
             total.rejected.update(counters.rejected)
@@ -147,7 +173,7 @@ class StreamDecoder:
     @property
     def clock_resets(self) -> int:
         """How often the receiver said that it had reset its clock."""
-        return self._ubx.clock_resets
+        return self._ubx.clock_resets + self._sbf.clock_resets
 
     @property
     def pending(self) -> int:
@@ -161,7 +187,7 @@ class StreamDecoder:
     def flush(self) -> list[Message]:
         """End the stream: return what was still waiting."""
         messages = [message for _, found in self._decode_all(self._framer.flush()) for message in found]
-        return messages + self._pass_on(self._rtcm3.flush(), Protocol.RTCM3)
+        return messages + self._pass_on(self._rtcm3.flush(), Protocol.RTCM3) + self._pass_on(self._sbf.flush(), Protocol.SBF)
 
     def _decode_all(self, frames: list[Frame]) -> list[tuple[Frame, list[Message]]]:
         found: list[tuple[Frame, list[Message]]] = []
@@ -175,19 +201,18 @@ class StreamDecoder:
         return found
 
     def _decode(self, frame: Frame) -> list[Message]:
-        if frame.protocol is Protocol.UBX:
-            messages = self._ubx.decode(frame)
-        elif frame.protocol is Protocol.RTCM3:
-            messages = self._rtcm3.decode(frame)
-        else:
-            messages = self._nmea.decode(frame)
+        decoder = self._decoders.get(frame.protocol)
+        if decoder is None:
+            self._dropped.ignored[f"{frame.protocol}/{frame.kind}" if len(self._dropped.ignored) < _MAX_KINDS else "other"] += 1
+            return []
+        messages = decoder.decode(frame)
         return self._pass_on(messages, frame.protocol) if messages else messages
 
     def _pass_on(self, messages: list[Message], protocol: Protocol) -> list[Message]:
         passed: list[Message] = []
         for message in messages:
             if isinstance(message, Epoch):
-                passed += self._epoch(message, protocol)
+                passed += self._epoch(self._stage.epoch(message, protocol), protocol)
             elif isinstance(message, ReceiverFix):
                 if message.time is not None:
                     self._tell_time(message.time)
@@ -197,8 +222,11 @@ class StreamDecoder:
         return passed
 
     def _epoch(self, epoch: Epoch, protocol: Protocol) -> list[Epoch]:
-        if protocol is Protocol.UBX:
+        if protocol is not Protocol.RTCM3:  # raw protocols know their week
             self._tell_time(epoch.time)
+        if not self._is_main and protocol not in _OF_SEVERAL_ANTENNAS:
+            self._dropped.ignored[f"{protocol} epoch {_OTHER_SOURCE}"] += 1
+            return []
         switched = self._timeline.switches(protocol)
         refusal = self._timeline.refusal(epoch, protocol)
         if refusal:
@@ -216,7 +244,7 @@ class StreamDecoder:
     def _is_new(self, message: Message) -> bool:
         """Return whether a message says something that the stream has not said before."""
         if isinstance(message, KeplerEphemeris | GlonassEphemeris):
-            return self._is_new_ephemeris(message)
+            return self._stage.passes(message) and self._is_new_ephemeris(message)
         if isinstance(message, KlobucharParameters):
             key: tuple[type, object] = (KlobucharParameters, message.system)
         elif isinstance(message, GlonassBias):
@@ -230,7 +258,7 @@ class StreamDecoder:
 
     def _is_new_ephemeris(self, e: Ephemeris) -> bool:
         key, identity = _identity(e)
-        if self._published.get(key) == identity:
+        if self._published.get(key) == identity and not self._repeats:
             return False
         self._published[key] = identity
         return True
@@ -238,7 +266,7 @@ class StreamDecoder:
     def _is_published(self, e: Ephemeris) -> bool:
         """Return whether the ephemeris that was passed on last for its satellite and message is this one."""
         key, identity = _identity(e)
-        return self._published.get(key) == identity
+        return self._published.get(key) == identity and not self._repeats
 
 
 def _identity(e: Ephemeris) -> tuple[tuple[int, int], tuple[object, ...]]:

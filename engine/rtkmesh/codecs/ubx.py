@@ -1,6 +1,7 @@
-"""UBX messages to values: RXM-RAWX, RXM-SFRBX and NAV-PVT (u-blox F9 HPG 1.32 interface description, 3.17 and 3.15).
+"""UBX messages to values: RXM-RAWX, RXM-SFRBX, NAV-PVT (u-blox F9 HPG 1.32 interface description, 3.17 and 3.15) and those of
+``ubx_receiver``.
 
-All other messages are counted as ignored; the services read what they need of them with pyubx2.
+All other messages are counted as ignored.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
 from rtkmesh.codecs.navigation import NavigationDecoder
 from rtkmesh.codecs.navigation_words import QUIET, REFUSALS
 from rtkmesh.codecs.ubx_observations import MEASUREMENT, ROW_BYTES, new_slip_state, rawx_columns
+from rtkmesh.codecs.ubx_receiver import READERS, read_report
 from rtkmesh.codecs.ubx_subframes import UNKNOWN_SATELLITE, WRONG_LENGTH, take_subframes
 from rtkmesh.codecs.utc import from_utc, gps_day
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
@@ -31,12 +33,12 @@ _REASONS: Final = {WRONG_LENGTH: "length", UNKNOWN_SATELLITE: "satellite", **{co
 
 
 class UbxDecoder:
-    """Decodes the UBX frames of one receiver; it remembers lock times and navigation blocks."""
+    """Decodes the UBX frames of one receiver; it remembers lock times and navigation blocks. ``repeats``: see NavigationDecoder."""
 
-    def __init__(self, approximate_time: GpsTime | None = None) -> None:
+    def __init__(self, approximate_time: GpsTime | None = None, *, repeats: bool = False) -> None:
         self.counters = DecodingCounters()
         self.clock_resets = 0
-        self._navigation = NavigationDecoder(approximate_time)
+        self._navigation = NavigationDecoder(approximate_time, repeats=repeats)
         self._slip_state = new_slip_state()
 
     @property
@@ -53,6 +55,8 @@ class UbxDecoder:
             found = self._rawx(frame.data)
         elif kind == NAV_PVT:
             found = self._nav_pvt(frame.data)
+        elif kind in READERS:
+            found = self._report(kind, frame.data)
         else:
             self.counters.ignored[f"ubx/{kind}"] += 1
             return []
@@ -108,6 +112,10 @@ class UbxDecoder:
         v = columns
         epoch = Epoch(time, ids[0], ids[1], channel, flags, v[0], v[1], v[2], v[3], v[4], v[5], v[6])
         return [*self._navigation.set_time(time), epoch]
+
+    def _report(self, kind: str, data: bytes) -> list[Message] | str:
+        report = read_report(kind, data[_PAYLOAD:-2], self.time)
+        return report if isinstance(report, str) else [report]
 
     def _nav_pvt(self, data: bytes) -> list[Message] | str:
         if len(data) - 8 < _NAV_PVT.size:

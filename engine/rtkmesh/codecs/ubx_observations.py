@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.codecs.lock_slips import SLIP_STATE, lock_slip
 from rtkmesh.codecs.observation_rows import ROW_MASK, SATELLITE_SHIFT, SIGNAL_MASK, SIGNAL_SHIFT, sort_keys
 from rtkmesh.codecs.ubx_signals import GNSS_IDS, SATELLITE_OF, SIG_IDS, SIGNAL_OF, SV_IDS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP
@@ -25,26 +26,9 @@ _MAX_LOCK_MS = 64500  # locktime counts no further
 _MAX_PSEUDORANGE_M, _MAX_PHASE_CYC, _MAX_DOPPLER_HZ = 1e9, 1e10, 1e6  # before the first fix the receiver's clock may be anything
 
 
-@kernel
-def rawx_slip(state: NDArray[np.float64], lock_ms: int, track: int, time_s: float) -> bool:
-    """Return whether the phase slipped since this signal's last valid phase, and remember this epoch.
-
-    ``state``: time of the last epoch (s, 0: none), its lock time (ms), whether the half cycle was subtracted in it, whether a
-    slip waits to be told. The lock time fell or is shorter than the time since then, or the subtraction of the half cycle changed. A
-    slip that meets no valid phase waits for one.
-    """
-    subtracted, slipped = track >> 3 & 1, lock_ms == 0
-    if state[0] > 0.0:
-        too_short = lock_ms < _MAX_LOCK_MS and lock_ms / 1e3 + 0.1 < time_s - state[0]
-        slipped = slipped or lock_ms < state[1] or too_short or subtracted != state[2] or state[3] > 0.0
-    state[0], state[1], state[2] = time_s, lock_ms, subtracted
-    state[3] = 1.0 if slipped and not track & _PHASE_VALID else 0.0
-    return slipped
-
-
 def new_slip_state() -> NDArray[np.float64]:
-    """Return what ``rawx_slip`` remembers, by gnssId, svId and sigId: nothing yet."""
-    return np.zeros((GNSS_IDS, SV_IDS, SIG_IDS, 4))
+    """Return what ``lock_slip`` remembers, by gnssId, svId and sigId: nothing yet."""
+    return np.zeros((GNSS_IDS, SV_IDS, SIG_IDS, SLIP_STATE))
 
 
 @kernel
@@ -54,7 +38,7 @@ def rawx_columns(
 ) -> int:  # fmt: skip
     """Write the columns of an epoch, sorted by (satellite, signal); return the number of rows.
 
-    ``rows`` are of MEASUREMENT, ``state`` is that of ``rawx_slip`` by gnssId, svId, sigId. Measurements of a satellite or signal that is
+    ``rows`` are of MEASUREMENT, ``state`` is that of ``lock_slip`` by gnssId, svId, sigId. Measurements of a satellite or signal that is
     not known, or that is there already, are dropped. Out, as long as there are measurements: ``ids`` (satellite, signal), ``channel``,
     ``flags``, and ``columns``: pseudorange, phase, Doppler, C/N0, lock time, sigma of pseudorange, of phase.
     """
@@ -75,7 +59,7 @@ def rawx_columns(
         pseudorange_m, phase_cyc, doppler_hz = row["pseudorange_m"], row["phase_cyc"], float(row["doppler_hz"])
         code_valid = track & _PSEUDORANGE_VALID and 0.0 < pseudorange_m < _MAX_PSEUDORANGE_M
         phase_valid = track & _PHASE_VALID and abs(phase_cyc) < _MAX_PHASE_CYC
-        slipped = rawx_slip(state[gnss, sv, sig], lock_ms, track, time_s)
+        slipped = lock_slip(state[gnss, sv, sig], lock_ms, _MAX_LOCK_MS, track >> 3 & 1, track & _PHASE_VALID != 0, time_s)
         flags[k] = ((SLIP if slipped else 0) | (0 if track & _HALF_CYCLE_VALID else HALF_CYCLE)) if phase_valid else 0
         code_index, phase_index = int(row["code_index"]) & 15, int(row["phase_index"]) & 15
         columns[0, k] = pseudorange_m if code_valid else np.nan

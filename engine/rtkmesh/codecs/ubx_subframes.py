@@ -16,9 +16,7 @@ from rtkmesh.codecs.navigation_words import (
     WORDS,
     Satellites,
     Words,
-    check_block,
-    keep_block,
-    set_is_whole,
+    take_block,
 )
 from rtkmesh.codecs.ubx_signals import GNSS_IDS, SATELLITE_OF, SIG_IDS
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
@@ -119,10 +117,7 @@ def take_subframes(
             return taken, position, 0, 0, satellite
         if message < 0:
             continue
-        result = check_block(satellite, message, words, clock)
-        if result >= 0:
-            news = keep_block(satellites, satellite, message, result, words, channel, frame, clock, week, tow_s)
-            result = result if news or set_is_whole(satellites, satellite, message, clock) else QUIET
+        result = take_block(satellites, satellite, message, words, channel, frame, clock, week, tow_s)
         if result != QUIET:
             return taken, position, satellite, message, result
     return taken, position, 0, 0, QUIET

@@ -123,9 +123,10 @@ class GlonassBias:
 
 @dataclass(frozen=True, slots=True)
 class ReceiverFix:
-    """The receiver's own navigation solution (UBX NAV-PVT, NMEA GGA): for monitoring, never an input of the engine.
+    """The receiver's own navigation solution (UBX NAV-PVT, NMEA GGA, SBF PVTGeodetic): for monitoring, never an input of the engine.
 
-    ``fix``: 0 none, 1 dead reckoning, 2 2D, 3 3D, 4 DGPS, 5 RTK float, 6 RTK fixed. Height is ellipsoidal.
+    ``fix``: 0 none, 1 dead reckoning, 2 2D, 3 3D, 4 DGPS, 5 RTK float, 6 RTK fixed. Height is ellipsoidal. The vertical part of the
+    velocity is NaN where it is not known (NMEA).
     """
 
     time: GpsTime | None

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.rtk.ambiguity import Candidates, Search, compare_integers, search, take
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -35,8 +36,9 @@ STRONG_COUNT: Final = 20  # with so many ambiguities that fit, ACCEPT_MANY is en
 ACCEPT_MANY: Final = 5.5
 SURE: Final = 8.0  # log odds from which a new fix is shown at once, like one that fits well; others must be confirmed
 GOOD_FIT: Final = 1.0  # squared norm per ambiguity of integers of all candidates that fit well
-SUBSET_TRIES: Final = 8
 NEW_S: Final = (0.0, 5.0, 20.0)  # subsets leave out what is younger
+WEAKEST: Final = 5  # so many of the weakest satellites are left out in turn
+SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chance
 
 
 @kernel
@@ -54,13 +56,13 @@ def try_new(
     if not _strong(best, 0.0, setup) and len(candidates.row) > 1:
         other = _best_subset(f, candidates, free, setup, time_s)
         if other.odds > best.odds:
-            best, penalty = other, log(SUBSET_TRIES)
+            best, penalty = other, log(SUBSETS)
         if len(everything.row) > len(candidates.row):
             flat = without_slope(f)
             sloped, straight = search_all(f, everything, setup), search_all(flat, everything, setup)
             with_glonass = straight if straight.odds > sloped.odds else sloped
             if with_glonass.odds > best.odds:
-                best, penalty, wide = with_glonass, log(SUBSET_TRIES), True
+                best, penalty, wide = with_glonass, log(SUBSETS), True
                 level = flat if straight.odds > sloped.odds else f
     if not best.resolved or len(best.pairs) < setup.minimum_ambiguities:
         memory[STREAK_EPOCHS] = 0.0
@@ -88,31 +90,40 @@ def search_all(f: Filter, candidates: Candidates, setup: ResolveSetup) -> Search
 
 @kernel
 def _best_subset(f: Filter, candidates: Candidates, free: Search, setup: ResolveSetup, time_s: float) -> Search:
-    """Search without the newest ambiguities, and without each of the weakest satellites in turn; return the one with the best odds, or the
-    ``free`` search of all.
+    """Search without the newest ambiguities, without each system and without each of the weakest satellites in turn; return what has the
+    best odds, or the ``free`` search of all.
     """
     n = len(candidates.row)
-    best, mask, tries = free, np.empty(n, np.bool_), 0
+    best, mask = free, np.empty(n, np.bool_)
     for age_s in NEW_S:
         for k in range(n):
             mask[k] = time_s - f.history[candidates.row[k], ARC_S] > age_s
         best = _better(f, candidates, mask, best, setup)
-        tries += 1
-    left = np.ones(n, np.bool_)  # satellites that have not been left out yet
-    while tries < SUBSET_TRIES:
-        weakest = -1
+    for system in range(len(SYSTEMS)):
         for k in range(n):
-            first = k == 0 or candidates.satellite[k] != candidates.satellite[k - 1]
-            if left[k] and first and (weakest < 0 or candidates.weight[k] < candidates.weight[weakest]):
-                weakest = k
+            mask[k] = candidates.satellite[k] // SATELLITES_PER_SYSTEM != system
+        best = _better(f, candidates, mask, best, setup)
+    left = np.ones(n, np.bool_)  # satellites that have not been left out yet
+    for _ in range(WEAKEST):
+        weakest = _weakest(candidates, left)
         if weakest < 0:
             break
         for k in range(n):
             mask[k] = candidates.satellite[k] != candidates.satellite[weakest]
         left[weakest] = False
         best = _better(f, candidates, mask, best, setup)
-        tries += 1
     return best
+
+
+@kernel
+def _weakest(candidates: Candidates, left: NDArray[np.bool_]) -> int:
+    """Return the first row of the satellite with the smallest weight among those that are left, -1 if there is none."""
+    weakest = -1
+    for k in range(len(left)):
+        first = k == 0 or candidates.satellite[k] != candidates.satellite[k - 1]
+        if left[k] and first and (weakest < 0 or candidates.weight[k] < candidates.weight[weakest]):
+            weakest = k
+    return weakest
 
 
 @kernel

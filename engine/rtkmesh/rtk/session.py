@@ -24,6 +24,7 @@ from rtkmesh.gnss.ephemeris import (
     ReferenceStation,
 )
 from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.receiver import ReceiverReport
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import Antenna
 from rtkmesh.models.ephemeris_table import EphemerisTable
@@ -49,7 +50,7 @@ class EndOfStream:
 _MOST_PENDING: Final = 4096  # navigation data that wait for a rover epoch, live: a rover may be away for days
 
 Navigation = KeplerEphemeris | GlonassEphemeris | KlobucharParameters | ReferenceStation | GlonassBias
-Input = Epoch | Navigation | ReceiverFix | EndOfStream
+Input = Epoch | Navigation | ReceiverFix | ReceiverReport | EndOfStream
 FindAntenna = Callable[[str, str], Antenna | str]  # IGS name and serial number to the antenna, or to why there is none
 
 

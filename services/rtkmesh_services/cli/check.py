@@ -77,6 +77,7 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
             examine(("ingest", id, "fallback"), partial(_look_at_fallback, source.source, url, index))
         folder = file.parent / deployment.deployment.config_folder
         examine(("ingest", id, "commands"), partial(_look_at_commands, source, folder))
+        examine(("ingest", id, "corrections"), partial(_look_at_receiver, source))
         examine(("ingest", id, "date"), partial(_look_at_date, source.date))
         for key in ("position_ecef_m", "position_llh_deg"):
             if getattr(source, key) is not None:
@@ -132,6 +133,18 @@ def _look_at_commands(table: IngestTable, folder: Path) -> None:
         from rtkmesh_services.ingest.commands import commands_of
 
         commands_of(table, folder)
+
+
+def _look_at_receiver(table: IngestTable) -> None:
+    """Corrections and orders go to a receiver: there must be one behind the source."""
+    from rtkmesh_services.ingest.commands import LISTENING
+
+    scheme = table.source.partition("://")[0]
+    if table.corrections is not None and scheme not in LISTENING:
+        raise SourceError(f"corrections go to a receiver: the source must be one of {', '.join(LISTENING)}")
+    station = table.base_station
+    if station is not None and station.mode in ("survey-in", "preset") and scheme not in LISTENING:
+        raise SourceError(f"[base_station] mode {station.mode!r} talks to a receiver: the source must be one of {', '.join(LISTENING)}")
 
 
 def _look_at_simulation(source: "SourceUrl") -> None:

@@ -96,7 +96,7 @@ class RinexWriter:
             self._station = message
         elif isinstance(message, GlonassBias):
             self._bias = message
-        elif self._approximate is None and message.fix >= 3:
+        elif isinstance(message, ReceiverFix) and self._approximate is None and message.fix >= 3:
             self._approximate = _ecef_of(message)
 
     def finish(self, watch: Watch) -> list[tuple[Path, int]]:
@@ -155,7 +155,11 @@ def message_fields(message: Message) -> dict[str, Any]:
     content = {field.name: _plain(getattr(message, field.name)) for field in fields(message)}
     if isinstance(message, KeplerEphemeris | GlonassEphemeris):
         content["satellite"] = satellite_id(message.satellite)
-    return {"message": _KINDS[type(message)], **({"navigation": content.pop("message")} if "message" in content else {}), **content}
+    return {
+        "message": _KINDS.get(type(message), "receiver_report"),
+        **({"navigation": content.pop("message")} if "message" in content else {}),
+        **content,
+    }
 
 
 _KINDS: Final[dict[type, str]] = {

@@ -15,11 +15,9 @@ import numpy as np
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
-import rtkmesh_services
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.config import Deployment
-from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import State
 from rtkmesh_services.cli.board import FIX, Board
@@ -32,6 +30,7 @@ from rtkmesh_services.control.keeper import free_port, is_free
 from rtkmesh_services.runtime.configuration import load_site
 from rtkmesh_services.runtime.kernel_cache import use_kernel_cache
 from rtkmesh_services.runtime.process import leave
+from rtkmesh_services.runtime.shipped import config_path
 
 if TYPE_CHECKING:
     from rtkmesh.simulation.scenario import Truth as SimulatedTruth
@@ -84,15 +83,6 @@ def is_cold() -> bool:
     """Whether no kernel is in the cache yet: five processes would then compile the same ones at once."""
     folder = use_kernel_cache()
     return next(folder.rglob("*.nbi"), None) is None
-
-
-def config_path(name: str) -> Path:
-    """Return a deployment file that we ship: of the installed package, else of the checkout."""
-    package = Path(rtkmesh_services.__file__).parent
-    for folder in (package / "config", package.parents[1] / "config"):
-        if (folder / name).is_file():
-            return folder / name
-    raise ConfigError(name, None, "not found in the package")
 
 
 def deployment_text(rate_hz: float, seed: int) -> str:

@@ -19,7 +19,7 @@ DEFAULT_PERIOD_S: Final = 1.0
 SHORTEST_PERIOD_S: Final = 0.05
 MAXIMUM_LINES: Final = 1000
 MAXIMUM_FILE: Final = 65536
-_LISTENING: Final = ("serial", "tcp", "tcp-listen")
+LISTENING: Final = ("serial", "tcp", "tcp-listen")
 _WORDS: Final = ("!UBX", "!HEX", "!WAIT", "!BRATE")
 _SECTIONS: Final = 3
 
@@ -77,8 +77,8 @@ def commands_of(table: IngestTable, folder: Path) -> ReceiverCommands:
     found = parse_commands(told.start, told.stop, told.periodic)
     if told.file:
         found = _read_file(folder / told.file) + found
-    if found and table.source.partition("://")[0] not in _LISTENING:
-        raise SourceError(f"commands go to a receiver: the source must be one of {', '.join(_LISTENING)}")
+    if found and table.source.partition("://")[0] not in LISTENING:
+        raise SourceError(f"commands go to a receiver: the source must be one of {', '.join(LISTENING)}")
     return found
 
 

@@ -13,6 +13,7 @@ from typing import Final
 
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.commands import ReceiverCommands
+from rtkmesh_services.ingest.corrections import CorrectionQueue
 from rtkmesh_services.ingest.ntrip_source import FindPlace, NtripSource
 from rtkmesh_services.ingest.serial_ports import SerialPort
 from rtkmesh_services.ingest.urls import SourceUrl
@@ -66,6 +67,7 @@ class Link:
         source: int = 0,
         find_place: FindPlace | None = None,
         commands: ReceiverCommands | None = None,
+        corrections: CorrectionQueue | None = None,
         backoff: Backoff | None = None,
     ) -> None:
         self._url, self._sink, self._source = url, sink, source
@@ -75,7 +77,7 @@ class Link:
         self._after: Link | None = None
         self._heard_s = 0.0
         self._farewell = bool(commands and commands.stop)
-        self._writer = Writer(commands or ReceiverCommands(), lambda text: self._say(LinkState.ERROR, text))
+        self._writer = Writer(commands or ReceiverCommands(), lambda text: self._say(LinkState.ERROR, text), corrections)
         self._threads = [
             threading.Thread(target=self._read_loop, daemon=True, name="link-read"),
             threading.Thread(target=self._writer.run, args=(self._stop,), daemon=True, name="link-write"),

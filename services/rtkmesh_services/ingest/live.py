@@ -10,6 +10,7 @@ from rtkmesh.codecs.stream import StreamDecoder
 from rtkmesh.gnss.ephemeris import GlonassBias, ReferenceStation
 from rtkmesh_schemas.status import InputStatus
 from rtkmesh_services.ingest.commands import ReceiverCommands
+from rtkmesh_services.ingest.corrections import CorrectionQueue
 from rtkmesh_services.ingest.failover import Failover
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState, Sink
 from rtkmesh_services.ingest.ntrip_source import FindPlace
@@ -73,8 +74,9 @@ class LiveSources:
         find_place: FindPlace | None,
         clock: Clock,
         commands: ReceiverCommands,
+        corrections: CorrectionQueue | None = None,
     ) -> None:
-        self._commands = commands
+        self._commands, self._corrections = commands, corrections
         self._new_decoder, self._sink, self._failover, self._find_place, self._clock = new_decoder, sink, failover, find_place, clock
         self._sources = [_Source(url, new_decoder()) for url in urls]
 
@@ -181,8 +183,8 @@ class LiveSources:
     def _link(self, number: int, url: SourceUrl) -> "Link | SimulatedLink":
         if url.scheme == "sim":
             return SimulatedLink(Simulation(url, self._clock, self._sink, source=number))
-        commands = self._commands if number == 0 else None
-        return Link(url, self._sink, source=number, find_place=self._find_place, commands=commands)
+        commands, corrections = (self._commands, self._corrections) if number == 0 else (None, None)
+        return Link(url, self._sink, source=number, find_place=self._find_place, commands=commands, corrections=corrections)
 
     def _status(self, source: _Source, now_ns: int) -> InputStatus:
         framing, decoding = source.decoder.framing, source.decoder.decoding

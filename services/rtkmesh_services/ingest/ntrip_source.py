@@ -33,6 +33,8 @@ Say = Callable[[str], None]
 class NtripWire:
     """An open mount point. What can be written to it are positions alone."""
 
+    bytes_per_s = 0.0
+
     def __init__(self, connection: CasterConnection, source: "NtripSource", gga: bool) -> None:
         self._connection, self._source, self._gga = connection, source, gga
         answer = connection.answer

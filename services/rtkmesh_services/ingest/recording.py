@@ -41,6 +41,9 @@ class RecordingKind(StrEnum):
     UBX = "ubx"
     RTCM3 = "rtcm3"
     NMEA = "nmea"
+    UNICORE = "unicore"
+    NOVATEL = "novatel"
+    SBF = "sbf"
     MIXED = "mixed log"
 
 
@@ -350,10 +353,6 @@ def _kind_of_log(head: bytes) -> RecordingKind | None:
     """Return the kind of a raw log from the whole frames in its head, None if there are none."""
     framer = Framer()
     protocols = {frame.protocol for frame in (*framer.feed(head), *framer.flush())} - {Protocol.NMEA}
-    if protocols == {Protocol.UBX}:
-        return RecordingKind.UBX
-    if protocols == {Protocol.RTCM3}:
-        return RecordingKind.RTCM3
     if protocols:
-        return RecordingKind.MIXED
+        return RecordingKind(protocols.pop().value) if len(protocols) == 1 else RecordingKind.MIXED
     return RecordingKind.NMEA if any(key.startswith("nmea") for key in framer.counters.frames) else None

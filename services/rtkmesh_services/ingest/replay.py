@@ -11,7 +11,9 @@ from rtkmesh.codecs.messages import Frame, Message
 from rtkmesh.codecs.stream import StreamOptions
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh_schemas.config import IngestTable
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.credit import CreditGate
 from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
@@ -99,10 +101,15 @@ class Replay:
         return not stopping.is_set()
 
 
-def recording_of(url: SourceUrl, date: str, observations: str) -> Recording:
+def stream_options(table: IngestTable, near: GpsTime | None) -> StreamOptions:
+    """Return what a table says of decoding."""
+    return StreamOptions(approximate_time=near, observations=table.observations, receiver=parse_receiver_options(table.options))
+
+
+def recording_of(url: SourceUrl, table: IngestTable) -> Recording:
     """Return the opened recording of a file URL; SourceError says what is wrong with it."""
-    options = StreamOptions(approximate_time=date_of(date), observations=observations)
-    return open_recording(Path(url.path), date_of(date), options=options, timed=url.word("times") == "yes" and url.speed > 0.0)
+    near = date_of(table.date)
+    return open_recording(Path(url.path), near, options=stream_options(table, near), timed=url.word("times") == "yes" and url.speed > 0.0)
 
 
 def date_of(text: str) -> GpsTime | None:

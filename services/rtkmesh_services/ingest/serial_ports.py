@@ -40,6 +40,11 @@ class SerialWire:
     def __init__(self, port: "serial.Serial", detail: str, first: bytes = b"") -> None:
         self._port, self.detail, self._first = port, detail, first
 
+    @property
+    def bytes_per_s(self) -> float:
+        """What the line carries: ten bits a byte; 0 where the baud rate means nothing (USB of the receiver itself)."""
+        return 0.0 if "ttyACM" in os.path.realpath(self._port.port or "") else self._port.baudrate / 10.0
+
     def read(self) -> bytes | None:
         """Return what is there, waiting for the first byte; SourceError when the device has gone."""
         if self._first:

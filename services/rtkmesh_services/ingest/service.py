@@ -2,19 +2,14 @@
 
 import threading
 from collections.abc import Mapping
-from functools import cache
 from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar
 
 from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message
-from rtkmesh.codecs.rtcm3_encode import encode_epoch
-from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
-from rtkmesh.codecs.ubx_encode import encode_rawx
+from rtkmesh.codecs.stream import StreamDecoder
 from rtkmesh.gnss.ephemeris import ReceiverFix
-from rtkmesh.gnss.epoch import make_epoch
-from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number, signal_number
-from rtkmesh.gnss.time import GpsTime
+from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import IngestTable
 from rtkmesh_schemas.errors import DecodeError, VersionError
@@ -26,13 +21,15 @@ from rtkmesh_schemas.wire import decode
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.commands import commands_of
 from rtkmesh_services.ingest.credit import CreditGate
+from rtkmesh_services.ingest.dialogue import Dialogue
 from rtkmesh_services.ingest.failover import Failover
 from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
 from rtkmesh_services.ingest.live import LiveSources, counters_of
 from rtkmesh_services.ingest.recording import RawRecording, Recording
-from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, common_start, date_of, gps_now, recording_of
+from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, common_start, date_of, gps_now, recording_of, stream_options
 from rtkmesh_services.ingest.stream import StreamPublisher
 from rtkmesh_services.ingest.urls import SourceUrl, parse_source, wants_nearest
+from rtkmesh_services.ingest.warming import warm_decoder
 from rtkmesh_services.mapping.position import known_position
 from rtkmesh_services.ntrip.place import Place
 from rtkmesh_services.runtime.bus import Liveliness, Sample
@@ -48,7 +45,7 @@ class IngestService(Service):
     """One receiver. All decoding and publishing happens in the work loop; links and replays have threads of their own."""
 
     role: ClassVar[Role] = Role.INGEST
-    operations: ClassVar[Mapping[str, str]] = {"restart": "close the source and open it again"}
+    operations: ClassVar[Mapping[str, str]] = {"restart": "close the source and open it again", **Dialogue.operations}
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -57,6 +54,7 @@ class IngestService(Service):
         self._publisher = StreamPublisher(context, known_position(self._table), raw=self._table.raw)
         self._gate = CreditGate(consumers_of(context), patience_s=0.0 if self._url.scheme != "file" or self._url.speed else DEAD_CONSUMER_S)
         self._decode_ms = RollingQuantiles()
+        self._dialogue = Dialogue(context, self._table, self._say, self._publisher.stand_at)
         self._live = None if self._table.replay else self._live_sources()
         self._replayed = LinkReport(LinkState.CONNECTING)
         self._recording: Recording | None = None
@@ -76,7 +74,10 @@ class IngestService(Service):
         for solver in solvers_to_ask(self.context):
             self.context.subscribe(SOL.key(solver), lane="place")
         self.context.bus.on_live(self._on_live)
+        self._dialogue.open()
         self._publisher.open()
+        for note in parse_receiver_options(self._table.options).notes:
+            self.context.event(Level.INFO, "receiver_option", f"nothing to do for {note}")
         self._start_source()
 
     def handle(self, item: Any) -> None:
@@ -93,12 +94,15 @@ class IngestService(Service):
             self._sample(item)
 
     def tick(self, now_mono_ns: int) -> None:
-        """Open a further source when those that are open bring nothing."""
+        """Open a further source when those that are open bring nothing; go on with corrections and surveys."""
+        self._dialogue.tick(now_mono_ns * 1e-9)
         if self._live is not None and (opened := self._live.silent(now_mono_ns * 1e-9)):
             self.context.event(Level.WARNING, "source_fallback", f"nothing comes: trying {opened} as well")
 
     def command(self, request: Request) -> Reply:
-        """Restart the source."""
+        """Restart the source, or do what a base station is asked for."""
+        if request.op in Dialogue.operations:
+            return self._dialogue.command(request, self._now_s())
         if self._live is None:
             return done("a replay goes on; restart the process to play it again")
         self._live.stop()
@@ -109,7 +113,10 @@ class IngestService(Service):
         """Tell the link, the bytes, the frames by kind and what was refused."""
         now_ns = self.context.clock.mono_ns()
         state, reason = self._health((now_ns - self._heard_ns) * 1e-9)
+        if state is State.RUNNING and (complaint := self._dialogue.complaint(now_ns * 1e-9)):
+            state, reason = State.DEGRADED, complaint
         inputs = [self._replay_status(now_ns)] if self._live is None else self._live.statuses(now_ns)
+        inputs += self._dialogue.statuses(now_ns * 1e-9)
         newest = self._publisher.newest
         return Report(
             state=state,
@@ -130,6 +137,7 @@ class IngestService(Service):
                 "end": self._replayed.state is LinkState.ENDED,
                 "satellites": 0 if newest is None else len(set(newest.satellite.tolist())),
                 **({"source": self._live.active} if self._live is not None and self._table.fallback else {}),
+                **self._dialogue.data(now_ns * 1e-9),
             },
         )
 
@@ -141,7 +149,7 @@ class IngestService(Service):
 
     def _new_decoder(self) -> StreamDecoder:
         near = date_of(self._table.date) or gps_now(self.context.clock)
-        return StreamDecoder(StreamOptions(approximate_time=near, observations=self._table.observations))
+        return StreamDecoder(stream_options(self._table, near))
 
     def _live_sources(self) -> LiveSources:
         table = self._table
@@ -150,7 +158,15 @@ class IngestService(Service):
         failover = Failover(len(urls), table.fallback_after_s, table.return_after_s, now_s)
         commands = commands_of(table, self.context.config_folder)
         find_place = self._rover_place if solvers_to_ask(self.context) else None
-        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands)
+        corrections = self._dialogue.corrections
+        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands, corrections)
+
+    def _now_s(self) -> float:
+        return self.context.clock.mono_ns() * 1e-9
+
+    def _say(self, data: bytes) -> bool:
+        """Queue bytes for the receiver; False when nothing is connected."""
+        return self._live is not None and self._live.write(data)
 
     def _rover_place(self) -> Place | None:
         """Return where the rover is, as its solver says (for the threads of casters)."""
@@ -168,7 +184,7 @@ class IngestService(Service):
     def _play(self, stopping: threading.Event) -> None:
         """Play the recording of a file source (in its own thread)."""
         try:
-            recording = self._recording = recording_of(self._url, self._table.date, self._table.observations)
+            recording = self._recording = recording_of(self._url, self._table)
             start = common_start(self._all_recordings()) if self._url.speed else None
             start = start + self._url.number("start", 0.0) if start is not None else None
         except SourceError as error:
@@ -181,7 +197,7 @@ class IngestService(Service):
         """Yield every observation recording of this deployment: they are played in step."""
         for table in self.context.deployment.ingest.values():
             if table.replay and not table.navigation and Path(parse_source(table.source).path).is_file():
-                yield recording_of(parse_source(table.source), table.date, table.observations)
+                yield recording_of(parse_source(table.source), table)
 
     def _sink(self, item: Chunk | LinkReport) -> None:
         self.context.inbox.put(item, lane="source")
@@ -202,6 +218,7 @@ class IngestService(Service):
             self._switched()
         if chunk.source == self._live.active:
             self._heard_ns = chunk.mono_ns
+            self._dialogue.heard(chunk.data, (frame for frame, _ in frames), self._now_s())
         for frame, messages in frames:
             self._publisher.frame(frame, chunk.mono_ns)
             for message in messages:
@@ -229,6 +246,7 @@ class IngestService(Service):
             self._publish(played.item, played.mono_ns)
 
     def _publish(self, message: Message, mono_ns: int) -> None:
+        self._dialogue.message(message, self._now_s())
         if not isinstance(message, ReceiverFix):
             self._publisher.message(message, mono_ns)
 
@@ -238,6 +256,8 @@ class IngestService(Service):
         if self._live is None:
             self._replayed = report
         else:
+            if report.source == 0:  # the receiver; fallbacks are other people's
+                self._dialogue.link(report.state, self._now_s())
             moved, news = self._live.moved(report), self._live.report(report)
             if moved:
                 self._switched()
@@ -261,6 +281,8 @@ class IngestService(Service):
             self._writes += 1
             if self._live is None or not self._live.write(sample.payload):
                 self._writes_lost += 1
+            return
+        if self._dialogue.takes(sample, self._now_s()):
             return
         try:
             if sample.key == CREDIT.key(self.context.id):
@@ -329,26 +351,6 @@ def place_of(solution: SolutionMessage) -> Place | None:
 def consumers_of(context: Context) -> list[str]:
     """Return the solvers of the deployment that take this receiver's stream."""
     return [name for name, solver in context.deployment.solver.items() if context.id in (solver.rover, solver.base, *solver.navigation)]
-
-
-@cache
-def warm_decoder() -> None:
-    """Decode an epoch of each protocol that receivers send, so that the kernels are compiled or loaded before the first byte."""
-    start = GpsTime(2400, 0.0)
-    satellites = [satellite_number(name) for name in ("G05", "R07", "E11", "C23")]
-    signals = [signal_number(code) for code in ("1C", "1C", "1C", "2I")]
-    columns = {
-        "pseudorange_m": [2.2e7] * 4,
-        "phase_cyc": [1.1e8] * 4,
-        "doppler_hz": [10.0] * 4,
-        "cn0_dbhz": [45.0] * 4,
-        "lock_s": [9.0] * 4,
-    }
-    epoch = make_epoch(start, satellite=satellites, signal=signals, channel=[NO_CHANNEL, 1, NO_CHANNEL, NO_CHANNEL], **columns)
-    decoder = StreamDecoder(StreamOptions(approximate_time=start))
-    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1)):
-        decoder.feed(data)
-    decoder.flush()
 
 
 preload = warm_decoder

@@ -38,6 +38,7 @@ class StreamPublisher:
     def __init__(self, context: Context, known: Position | None, *, raw: bool) -> None:
         self._context, self._bus = context, context.bus
         self._known, self._raw = known, raw
+        self._origin, self._datum = "configuration", ""  # of what is known
         self._frames = 0
         self.sequence = 0
         self.published: Counter[str] = Counter()
@@ -80,6 +81,13 @@ class StreamPublisher:
             self._bias = message
             self._reference()
 
+    def stand_at(self, position: Position, origin: str, datum: str) -> None:
+        """Publish a position that was found or told: in place of what the stream says, that of a survey until the stream says one."""
+        if origin != "survey-in":
+            self._known, self._origin, self._datum = position, origin, datum
+        self._station = replace(self._station, position_ecef_m=position, source=origin)
+        self._reference()
+
     def switch(self, station: ReferenceStation | None, bias: GlonassBias | None) -> None:
         """Go on with another source: its antenna (None: nobody knows yet) instead of the last one's, and new phases."""
         self._bias, self._slipped = bias, True
@@ -100,7 +108,7 @@ class StreamPublisher:
 
     def _stand(self, station: ReferenceStation) -> None:
         known = self._known is not None
-        self._station = replace(station, position_ecef_m=self._known, source="configuration") if known else station
+        self._station = replace(station, position_ecef_m=self._known, source=self._origin) if known else station
         self._reference()
 
     def _reference(self) -> None:
@@ -112,6 +120,7 @@ class StreamPublisher:
             antenna=station.antenna,
             antenna_serial=station.antenna_serial,
             receiver=station.receiver,
+            datum=self._datum if station.source == self._origin else "",
             origin=station.source,
             glonass_bias_m=None if self._bias is None else self._bias.bias_m,
             **self._next("ref"),

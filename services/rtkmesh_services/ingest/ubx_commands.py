@@ -97,24 +97,24 @@ def _number(letter: str, word: str) -> bytes:
 
 def _keyed(name: str, words: list[str]) -> bytes:
     if name != "CFG-VALSET":
-        return b"".join(struct.pack("<I", _key(word)[0]) for word in words)
+        return b"".join(struct.pack("<I", key_of(word)[0]) for word in words)
     if not words or len(words) % 2:
         raise SourceError(f"{name}: wants version, layers, two zeros, then keys with a value each")
     parts: list[bytes] = []
     for word, value in zip(words[::2], words[1::2], strict=True):
-        key, letter = _key(word)
+        key, letter = key_of(word)
         parts += [struct.pack("<I", key), _number(letter, value)]
     return b"".join(parts)
 
 
-def _key(word: str) -> tuple[int, str]:
-    """Return a key's number and the letter of its value's type."""
+def key_of(word: str) -> tuple[int, str]:
+    """Return a key's number and the letter of its value's type; SourceError if it is none."""
     if word.lower().startswith("0x"):
         try:
             key = int(word, 16)
         except ValueError:
             key = 0
-        letter = {1: "B", 2: "H", 4: "I", 8: "Q"}.get(_SIZES.get(key >> 28 & 7, 0), "")
+        letter = _letter_of_size(key)
         if not letter or key >> 32:
             raise SourceError(f"{word} is no configuration key")
         return key, letter
@@ -123,6 +123,20 @@ def _key(word: str) -> tuple[int, str]:
     if found is None:
         raise SourceError(f"{word}: there is no such configuration key")
     return found
+
+
+def type_of_key(number: int) -> str:
+    """Return the letter of a key's type: the known one's, else the unsigned one of its size; empty where it has none."""
+    return _types().get(number) or _letter_of_size(number)
+
+
+def _letter_of_size(number: int) -> str:
+    return {1: "B", 2: "H", 4: "I", 8: "Q"}.get(_SIZES.get(number >> 28 & 7, 0), "")
+
+
+@cache
+def _types() -> dict[int, str]:
+    return dict(_database().values())
 
 
 @cache

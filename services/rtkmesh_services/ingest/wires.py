@@ -30,9 +30,14 @@ class ReopenError(SourceError):
 
 
 class Wire(Protocol):
-    """An open connection. ``detail`` says with whom."""
+    """An open connection. ``detail`` says with whom, ``bytes_per_s`` what it carries (0: not known)."""
 
     detail: str
+
+    @property
+    def bytes_per_s(self) -> float:
+        """What the connection carries towards the receiver; 0: not known."""
+        ...
 
     def read(self) -> bytes | None:
         """Return new bytes, b"" when the peer has closed, None when nothing came for a while."""
@@ -64,6 +69,8 @@ class Opener(Protocol):
 class SocketWire:
     """A connected TCP socket; silence beyond ``timeout_s`` counts as closed."""
 
+    bytes_per_s = 0.0
+
     def __init__(self, connection: socket.socket, timeout_s: float, detail: str) -> None:
         self._socket, self._timeout_s, self.detail = connection, timeout_s, detail
         self._heard_s = time.monotonic()
@@ -93,6 +100,8 @@ class SocketWire:
 class UdpWire:
     """A bound UDP socket; every datagram is a chunk."""
 
+    bytes_per_s = 0.0
+
     def __init__(self, bound: socket.socket, detail: str) -> None:
         self._socket, self.detail = bound, detail
         self._peer: tuple[str, int] | None = None
@@ -119,6 +128,7 @@ class UdpWire:
 class StdinWire:
     """Standard input; corrections go nowhere."""
 
+    bytes_per_s = 0.0
     detail = "standard input"
 
     def read(self) -> bytes | None:

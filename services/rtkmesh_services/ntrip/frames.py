@@ -6,7 +6,7 @@ from typing import Final
 
 MAXIMUM_BYTES: Final = 131072
 MAXIMUM_AGE_S: Final = 15.0  # corrections that are older help nobody
-_STATION: Final = frozenset({1005, 1006, 1007, 1008, 1033, 1230})
+STATION_NUMBERS: Final = frozenset({1005, 1006, 1007, 1008, 1033, 1230})
 _SYSTEMS: Final = {107: "GPS", 108: "GLO", 109: "GAL", 110: "SBAS", 111: "QZS", 112: "BDS", 113: "IRN"}
 _LEGACY: Final = {1002: "GPS", 1004: "GPS", 1010: "GLO", 1012: "GLO"}
 
@@ -67,7 +67,7 @@ class StreamPicture:
         self._first_s = now_s if self._first_s is None else self._first_s
         self._last_s = now_s
         self._bytes += len(frame)
-        if number in _STATION:
+        if number in STATION_NUMBERS:
             self._station[number] = frame
 
     def station_frames(self) -> Iterator[bytes]:

@@ -17,7 +17,9 @@ from typing import Any, Final, TypeGuard, TypeVar
 
 import msgspec
 
-from rtkmesh_schemas.config import Deployment, OutputTable, SolverTable
+from rtkmesh.errors import OptionError
+from rtkmesh.gnss.receiver_options import parse_receiver_options
+from rtkmesh_schemas.config import Deployment, IngestTable, OutputTable, SolverTable
 from rtkmesh_schemas.errors import BadKeyError, ConfigError
 from rtkmesh_schemas.keys import CONTROL_ID, Role, check_id
 from rtkmesh_services.runtime.toml_lines import lines_of
@@ -223,7 +225,7 @@ class _Reader:
         if missing is not None:
             self.fault(path, f"[{'.'.join(path)}] has no {missing['name']!r}, which it needs")
         elif inner is not None:
-            known = [field.name for field in msgspec.structs.fields(_kind_at(kind, path[len(table) :]))]
+            known = [field.encode_name for field in msgspec.structs.fields(_kind_at(kind, path[len(table) :]))]
             self.fault(
                 (*path, inner), f"[{'.'.join(path)}] unknown key {inner!r}{nearest(inner, known) or f'; known are {_listed(known)}'}"
             )
@@ -233,7 +235,7 @@ class _Reader:
     def _allowed(self, kind: type[msgspec.Struct], path: tuple[str, ...], table: tuple[str, ...]) -> str:
         """Return the allowed values of an enumeration, with the nearest, or nothing."""
         kind = _kind_at(kind, path[len(table) : -1])
-        annotation = next((field.type for field in msgspec.structs.fields(kind) if field.name == path[-1]), None)
+        annotation = next((field.type for field in msgspec.structs.fields(kind) if field.encode_name == path[-1]), None)
         allowed = [str(value) for value in _literals(annotation)]
         if not allowed:
             return ""
@@ -276,6 +278,9 @@ def _check(reader: _Reader, deployment: Deployment) -> None:
     for role in _MULTIPLE:
         for id in getattr(deployment, role):  # noqa: A001  the word of the design
             _check_id(reader, owners, role, id)
+    for id, ingest in deployment.ingest.items():  # noqa: A001
+        _check_options(reader, id, ingest.options)
+        _check_ingest(reader, id, ingest)
     for id, solver in deployment.solver.items():  # noqa: A001
         _check_reference(reader, "ingest", solver.rover, ("solver", id, "rover"))
         if solver.base:
@@ -296,6 +301,40 @@ def _check(reader: _Reader, deployment: Deployment) -> None:
                 ("hub", "listen", str(index)),
                 f"[hub] listen: {address!r} is no loopback address; others could command your receivers: say insecure = true to allow it",
             )
+
+
+def _check_options(reader: _Reader, id: str, text: str) -> None:  # noqa: A002
+    try:
+        parse_receiver_options(text)
+    except OptionError as error:
+        reader.fault(("ingest", id, "options"), f"[ingest.{id}] options: {error}")
+
+
+def _check_ingest(reader: _Reader, id: str, table: IngestTable) -> None:  # noqa: A002
+    for index, base in enumerate(table.corrections.bases if table.corrections else ()):
+        path = ("ingest", id, "corrections", "from", str(index))
+        if base == id:
+            reader.fault(path, f"[ingest.{id}.corrections] from: a receiver does not correct itself")
+        else:
+            _check_reference(reader, "ingest", base, path)
+    if table.corrections is not None and not table.corrections.bases:
+        reader.fault(("ingest", id, "corrections", "from"), f"[ingest.{id}.corrections] from: names no base")
+    station = table.base_station
+    if station is None:
+        return
+    positions = [name for name in ("position_ecef_m", "position_llh_deg") if getattr(station, name) is not None]
+    where = ("ingest", id, "base_station")
+    if station.mode == "fixed" and len(positions) != 1:
+        reader.fault(where, f"[ingest.{id}.base_station] mode 'fixed' needs either 'position_ecef_m' or 'position_llh_deg'")
+    elif station.mode != "fixed" and positions:
+        reader.fault((*where, positions[0]), f"[ingest.{id}.base_station] {positions[0]} is of mode 'fixed', not of {station.mode!r}")
+    if station.mode == "preset" and not station.preset:
+        reader.fault(where, f"[ingest.{id}.base_station] mode 'preset' needs 'preset', the name of a saved position")
+    if station.mode in ("survey-in", "preset") and station.receiver == "other":
+        text = f"mode {station.mode!r} needs 'receiver', whose language we speak: ublox, ublox-legacy, unicore, septentrio"
+        reader.fault(where, f"[ingest.{id}.base_station] {text}; for other receivers there is mode 'average'")
+    if table.position_ecef_m is not None or table.position_llh_deg is not None:
+        reader.fault(where, f"[ingest.{id}.base_station] and a position of [ingest.{id}] itself: say it once, here")
 
 
 def _check_solver(reader: _Reader, id: str, solver: SolverTable) -> None:  # noqa: A002
@@ -456,9 +495,10 @@ def _depth(kind: type[msgspec.Struct], path: tuple[str, ...]) -> int:
 
 def _kind_at(kind: type[msgspec.Struct], path: tuple[str, ...]) -> type[msgspec.Struct]:
     for name in path:
-        annotation = next((field.type for field in msgspec.structs.fields(kind) if field.name == name), None)
-        if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
-            kind = annotation
+        annotation = next((field.type for field in msgspec.structs.fields(kind) if field.encode_name == name), None)
+        for part in (annotation, *getattr(annotation, "__args__", ())):  # a table that may be left out is a union with None
+            if isinstance(part, type) and issubclass(part, msgspec.Struct):
+                kind = part
     return kind
 
 
