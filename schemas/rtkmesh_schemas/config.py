@@ -103,7 +103,7 @@ class BaseStationTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, ntrip:, ntrips:, file:, stdin:, sim:.
+    """``[ingest.ID]``: one receiver. ``source`` is a URL: serial:, tcp:, tcp-listen:, udp:, ntrip:, ntrips:, file:, stdin:, sim:, ingest:.
 
     ``fallback`` are sources that are used, in their order, while those before them have given nothing for ``fallback_after_s``; one
     that is better placed is taken again when it has been back for ``return_after_s``.
@@ -132,6 +132,12 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def replay(self) -> bool:
         """Whether the source is a recording: deadlines run on the log's clock, consumers pace it."""
         return self.source.startswith("file://")
+
+    @property
+    def follows(self) -> tuple[str, ...]:
+        """The ingests whose frames are sources of this one."""
+        sources = (source for source in (self.source, *self.fallback) if source.startswith("ingest://"))
+        return tuple(source.removeprefix("ingest://").partition("?")[0] for source in sources)
 
 
 class NoiseTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

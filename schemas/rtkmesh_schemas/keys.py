@@ -13,7 +13,7 @@ from rtkmesh_schemas.errors import BadKeyError
 
 ROOT: Final = "rtk"
 CONTROL_ID: Final = "control"
-_ID: Final = re.compile(r"[a-z0-9_]{1,64}")
+ID: Final = re.compile(r"[a-z0-9_]{1,64}")
 # Second chunks that are no id of a process.
 RESERVED_IDS: Final = frozenset({"flockwave"})
 
@@ -120,7 +120,7 @@ STALE_PERIODS: Final = 10.0  # a stream with a nominal rate is stale after this 
 
 def check_id(id: str) -> str:  # noqa: A002  the word of the design
     """Return the id; BadKeyError unless it is ``[a-z0-9_]+`` and not reserved. ``*`` passes: it names all."""
-    if id != "*" and (not _ID.fullmatch(id) or id in RESERVED_IDS):
+    if id != "*" and (not ID.fullmatch(id) or id in RESERVED_IDS):
         raise BadKeyError(f"{id!r} is no id: ids are 1 to 64 of a-z, 0-9 and _ and not one of {', '.join(sorted(RESERVED_IDS))}")
     return id
 

@@ -128,19 +128,20 @@ class Receiver:
     """Observes the sky from one antenna; epochs must be asked for in rising order.
 
     ``name`` and ``seed`` decide every random number of an epoch together with its time. ``surroundings``: what stands around the
-    antenna (None: nothing); ``activity``: factor of what the ionosphere has beyond its model.
+    antenna (None: nothing); ``activity``: factor of what the ionosphere has beyond its model; ``clock``: that of another antenna of
+    the same receiver.
     """
 
     def __init__(
         self, name: str, path: AntennaPath, seed: int, options: ReceiverOptions, windows: tuple[Window, ...] = (),
-        surroundings: Surroundings | None = None, activity: float = 1.0,
+        surroundings: Surroundings | None = None, activity: float = 1.0, clock: ReceiverClock | None = None,
     ) -> None:  # fmt: skip
         self._key = (seed, int.from_bytes(name.encode(), "big"))
         self._path, self._options, self._windows, self._surroundings = path, options, windows, surroundings
         self._sky, self._atmosphere = Sky(), Atmosphere(seed, activity)
         self._signals = _signals_of(options)
         rng = np.random.default_rng((*self._key, 1))
-        self._clock = ReceiverClock(options.clock_drift, steered=options.steered, rng=rng)
+        self.clock = clock or ReceiverClock(options.clock_drift, steered=options.steered, rng=rng)
         self._code_biases_m = rng.normal(0.0, 1.0, (MAX_SATELLITE // SATELLITES_PER_SYSTEM, SLOTS))
         self._phase_biases_cyc = rng.uniform(0.0, 1.0, self._code_biases_m.shape)
         n = len(SATELLITES)
@@ -155,7 +156,7 @@ class Receiver:
     def observe(self, tag: GpsTime) -> Observed:
         """Return what is measured when the receiver's clock reads ``tag``."""
         tag_s = absolute_s(tag)
-        clock_s, clock_rate, jumps = self._clock.offset(tag_s)
+        clock_s, clock_rate, jumps = self.clock.offset(tag_s)
         time = tag + -clock_s
         time_s = tag_s - clock_s
         rows = self._sky.rows(time)

@@ -16,12 +16,13 @@ from rtkmesh.errors import OptionError
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.environment import Window
-from rtkmesh.simulation.receiver import Observed, Receiver, ReceiverOptions
+from rtkmesh.simulation.receiver import Receiver, ReceiverClock, ReceiverOptions
 from rtkmesh.simulation.rtcm3_stream import Rtcm3Stream
 from rtkmesh.simulation.sky import absolute_s
 from rtkmesh.simulation.tracking import SignalOptions
 from rtkmesh.simulation.trajectories import AntennaPath, Site, Trajectory, boat, driving, static
 from rtkmesh.simulation.ubx_stream import UbxStream
+from rtkmesh.simulation.unicore_stream import UnicoreStream
 
 Vector = NDArray[np.float64]
 Offset = tuple[float, float, float]
@@ -110,22 +111,28 @@ class Truth:
 
 
 class SimulatedStream:
-    """The endless stream of one antenna; every call of ``epochs`` begins anew at the start."""
+    """The endless stream of one receiver; every call of ``epochs`` begins anew at the start."""
 
     def __init__(self, scenario: str, stream: str, *, seed: int, rate_hz: float, start: GpsTime, warm: bool = True) -> None:
-        self._scenario, self._antenna = _find(scenario, stream)
+        self._scenario, self._names = _scenario(scenario), tuple(stream.split("+", 1))
+        self._antennas = [_find(scenario, name) for name in self._names]
         if not 0.0 < rate_hz <= MAX_RATE_HZ or abs(1e3 / rate_hz - round(1e3 / rate_hz)) > 1e-6:
             raise OptionError(f"rate {rate_hz} Hz is not one epoch every whole number of milliseconds, at most {MAX_RATE_HZ} Hz")
         if seed < 0:
             raise OptionError(f"seed {seed} is negative")
-        self._name, self._seed, self._start, self._warm = stream, seed, start, warm
+        self._seed, self._start, self._warm = seed, start, warm
         self._step_ms = round(1e3 / rate_hz)
 
     def receiver(self) -> Receiver:
-        """Return a fresh receiver of this antenna: observations without their encoding, for tests."""
-        windows = () if self._antenna.fixed else self._scenario.windows
-        options = replace(self._antenna.options, warm=self._warm)
-        return Receiver(self._name, _path(self._scenario, self._antenna, self._seed), self._seed, options, windows)
+        """Return a fresh receiver of this (first) antenna: observations without their encoding, for tests."""
+        return self._receiver(0)
+
+    def _receiver(self, number: int, clock: ReceiverClock | None = None) -> Receiver:
+        antenna = self._antennas[number]
+        windows = () if antenna.fixed else self._scenario.windows
+        options = replace(antenna.options, warm=self._warm, steered=antenna.options.steered or len(self._names) > 1)
+        path = _path(self._scenario, antenna, self._seed)
+        return Receiver(self._names[number], path, self._seed, options, windows, clock=clock)
 
     def tags(self) -> Iterator[GpsTime]:
         """Yield the nominal times of all epochs: multiples of the interval in GPS time, from the start on."""
@@ -139,22 +146,26 @@ class SimulatedStream:
 
     def epochs(self) -> Iterator[SimulatedEpoch]:
         """Yield all epochs in order, for ever; the caller paces."""
-        receiver, encode = self.receiver(), self._encoder()
+        first, encode = self._receiver(0), self._encoder()
+        receivers = [first, *(self._receiver(number, first.clock) for number in range(1, len(self._names)))]
         for tag in self.tags():
-            observed = receiver.observe(tag)
-            yield SimulatedEpoch(observed.true_time, encode(observed))
+            observed = [receiver.observe(tag) for receiver in receivers]
+            yield SimulatedEpoch(observed[0].true_time, encode(*observed))
 
-    def _encoder(self) -> Callable[[Observed], bytes]:
-        if not self._antenna.fixed:
+    def _encoder(self) -> Callable[..., bytes]:
+        if len(self._names) > 1:
+            return UnicoreStream(self._seed, warm=self._warm).encode
+        if not self._antennas[0].fixed:
             return UbxStream(self._seed, warm=self._warm).encode
-        x, y, z = _path(self._scenario, self._antenna, self._seed).position_ecef_m(0.0).tolist()
+        x, y, z = _path(self._scenario, self._antennas[0], self._seed).position_ecef_m(0.0).tolist()
         return Rtcm3Stream((x, y, z), warm=self._warm).encode
 
 
 def open_stream(scenario: str, stream: str, *, seed: int, rate_hz: float, start: GpsTime, warm: bool = True) -> SimulatedStream:
     """Return the stream of an antenna of a scenario; OptionError for names that do not exist.
 
-    UBX for antennas of the vehicle, RTCM 3 for the base. ``warm``: the receiver tracks everything already and hands out all
+    UBX for antennas of the vehicle, RTCM 3 for the base; two names with a ``+`` are one receiver with two antennas, which speaks as a
+    Unicore UM982 does. ``warm``: the receiver tracks everything already and hands out all
     ephemerides within two seconds; else it acquires satellites one by one and ephemerides take up to 30 s.
     """
     return SimulatedStream(scenario, stream, seed=seed, rate_hz=rate_hz, start=start, warm=warm)
@@ -187,11 +198,11 @@ def _scenario(name: str) -> Scenario:
     return SCENARIOS[name]
 
 
-def _find(scenario: str, stream: str) -> tuple[Scenario, Antenna]:
+def _find(scenario: str, stream: str) -> Antenna:
     chosen = _scenario(scenario)
     if stream not in chosen.antennas:
         raise OptionError(f"scenario {scenario!r} has no stream {stream!r}; there are {', '.join(chosen.antennas)}")
-    return chosen, chosen.antennas[stream]
+    return chosen.antennas[stream]
 
 
 def _delayed(trajectory: Trajectory, seed: int) -> Trajectory:

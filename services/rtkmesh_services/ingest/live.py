@@ -12,10 +12,12 @@ from rtkmesh_schemas.status import InputStatus
 from rtkmesh_services.ingest.commands import ReceiverCommands
 from rtkmesh_services.ingest.corrections import CorrectionQueue
 from rtkmesh_services.ingest.failover import Failover
+from rtkmesh_services.ingest.followed import FollowedIngest
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState, Sink
 from rtkmesh_services.ingest.ntrip_source import FindPlace
 from rtkmesh_services.ingest.replay import Simulation
 from rtkmesh_services.ingest.urls import SourceUrl
+from rtkmesh_services.runtime.bus import Bus
 from rtkmesh_services.runtime.clock import Clock
 
 NOT_OPEN: Final = "not open"
@@ -49,7 +51,7 @@ class SimulatedLink:
 class _Source:
     url: SourceUrl
     decoder: StreamDecoder
-    link: Link | SimulatedLink | None = None
+    link: Link | SimulatedLink | FollowedIngest | None = None
     last: Link | None = None
     state: str = NOT_OPEN
     detail: str = ""
@@ -68,17 +70,18 @@ class LiveSources:
     def __init__(
         self,
         urls: list[SourceUrl],
-        new_decoder: Callable[[], StreamDecoder],
+        new_decoder: Callable[[SourceUrl], StreamDecoder],
         sink: Sink,
         failover: Failover,
         find_place: FindPlace | None,
         clock: Clock,
         commands: ReceiverCommands,
+        bus: Bus,
         corrections: CorrectionQueue | None = None,
     ) -> None:
-        self._commands, self._corrections = commands, corrections
+        self._commands, self._corrections, self._bus = commands, corrections, bus
         self._new_decoder, self._sink, self._failover, self._find_place, self._clock = new_decoder, sink, failover, find_place, clock
-        self._sources = [_Source(url, new_decoder()) for url in urls]
+        self._sources = [_Source(url, new_decoder(url)) for url in urls]
 
     @property
     def active(self) -> int:
@@ -145,7 +148,7 @@ class LiveSources:
             return False
         moved, source.origin = bool(source.origin), origin
         if moved:
-            source.decoder, source.station, source.bias = self._new_decoder(), None, None
+            source.decoder, source.station, source.bias = self._new_decoder(source.url), None, None
         return moved and report.source == self.active
 
     def report(self, report: LinkReport) -> bool:
@@ -171,7 +174,7 @@ class LiveSources:
             return ""
         text = f"{source.detail}: {source.unframed // FIRST_FRAME_BYTES * FIRST_FRAME_BYTES >> 10} kB without a whole frame"
         if source.url.scheme != "serial":
-            return f"{text}: no UBX, RTCM 3 or NMEA comes from there"
+            return f"{text}: no frame of a known protocol comes from there"
         hint = "" if source.url.options.get("baud") == "auto" else "; baud=auto finds it"
         return f"{text}: looks like the wrong baud rate{hint}"
 
@@ -180,7 +183,9 @@ class LiveSources:
         order = sorted(range(len(self._sources)), key=lambda number: (number != self.active, number))
         return [self._status(self._sources[number], now_ns) for number in order]
 
-    def _link(self, number: int, url: SourceUrl) -> "Link | SimulatedLink":
+    def _link(self, number: int, url: SourceUrl) -> "Link | SimulatedLink | FollowedIngest":
+        if url.scheme == "ingest":
+            return FollowedIngest(url, self._bus, self._sink, number)
         if url.scheme == "sim":
             return SimulatedLink(Simulation(url, self._clock, self._sink, source=number))
         commands, corrections = (self._commands, self._corrections) if number == 0 else (None, None)

@@ -101,15 +101,18 @@ class Replay:
         return not stopping.is_set()
 
 
-def stream_options(table: IngestTable, near: GpsTime | None) -> StreamOptions:
-    """Return what a table says of decoding."""
-    return StreamOptions(approximate_time=near, observations=table.observations, receiver=parse_receiver_options(table.options))
+def stream_options(url: SourceUrl, table: IngestTable, near: GpsTime | None) -> StreamOptions:
+    """Return what a source and its table say of decoding."""
+    return StreamOptions(
+        approximate_time=near, observations=table.observations, receiver=parse_receiver_options(table.options), antenna=url.antenna
+    )
 
 
 def recording_of(url: SourceUrl, table: IngestTable) -> Recording:
     """Return the opened recording of a file URL; SourceError says what is wrong with it."""
     near = date_of(table.date)
-    return open_recording(Path(url.path), near, options=stream_options(table, near), timed=url.word("times") == "yes" and url.speed > 0.0)
+    options = stream_options(url, table, near)
+    return open_recording(Path(url.path), near, options=options, timed=url.word("times") == "yes" and url.speed > 0.0)
 
 
 def date_of(text: str) -> GpsTime | None:

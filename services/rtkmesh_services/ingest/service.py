@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message
 from rtkmesh.codecs.stream import StreamDecoder
 from rtkmesh.gnss.ephemeris import ReceiverFix
+from rtkmesh.gnss.receiver import ReceiverReport
 from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import IngestTable
@@ -25,6 +26,7 @@ from rtkmesh_services.ingest.dialogue import Dialogue
 from rtkmesh_services.ingest.failover import Failover
 from rtkmesh_services.ingest.links import Chunk, LinkReport, LinkState
 from rtkmesh_services.ingest.live import LiveSources, counters_of
+from rtkmesh_services.ingest.receiver_state import ReceiverState
 from rtkmesh_services.ingest.recording import RawRecording, Recording
 from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay, common_start, date_of, gps_now, recording_of, stream_options
 from rtkmesh_services.ingest.stream import StreamPublisher
@@ -51,7 +53,9 @@ class IngestService(Service):
         super().__init__(context)
         self._table: IngestTable = context.deployment.ingest[context.id]
         self._url: SourceUrl = parse_source(self._table.source)
-        self._publisher = StreamPublisher(context, known_position(self._table), raw=self._table.raw)
+        raw = self._table.raw and self._url.scheme != "ingest"  # that ingest publishes them
+        self._publisher = StreamPublisher(context, known_position(self._table), raw=raw)
+        self._receiver = ReceiverState()
         self._gate = CreditGate(consumers_of(context), patience_s=0.0 if self._url.scheme != "file" or self._url.speed else DEAD_CONSUMER_S)
         self._decode_ms = RollingQuantiles()
         self._dialogue = Dialogue(context, self._table, self._say, self._publisher.stand_at)
@@ -138,6 +142,7 @@ class IngestService(Service):
                 "satellites": 0 if newest is None else len(set(newest.satellite.tolist())),
                 **({"source": self._live.active} if self._live is not None and self._table.fallback else {}),
                 **self._dialogue.data(now_ns * 1e-9),
+                **self._receiver.data(now_ns),
             },
         )
 
@@ -147,9 +152,9 @@ class IngestService(Service):
         if self._live is not None:
             self._live.stop(FAREWELL_S)
 
-    def _new_decoder(self) -> StreamDecoder:
+    def _new_decoder(self, url: SourceUrl) -> StreamDecoder:
         near = date_of(self._table.date) or gps_now(self.context.clock)
-        return StreamDecoder(stream_options(self._table, near))
+        return StreamDecoder(stream_options(url, self._table, near))
 
     def _live_sources(self) -> LiveSources:
         table = self._table
@@ -159,7 +164,9 @@ class IngestService(Service):
         commands = commands_of(table, self.context.config_folder)
         find_place = self._rover_place if solvers_to_ask(self.context) else None
         corrections = self._dialogue.corrections
-        return LiveSources(urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands, corrections)
+        return LiveSources(
+            urls, self._new_decoder, self._sink, failover, find_place, self.context.clock, commands, self.context.bus, corrections
+        )
 
     def _now_s(self) -> float:
         return self.context.clock.mono_ns() * 1e-9
@@ -247,7 +254,9 @@ class IngestService(Service):
 
     def _publish(self, message: Message, mono_ns: int) -> None:
         self._dialogue.message(message, self._now_s())
-        if not isinstance(message, ReceiverFix):
+        if isinstance(message, ReceiverReport):
+            self._receiver.take(message, mono_ns, self.context.event)
+        elif not isinstance(message, ReceiverFix):
             self._publisher.message(message, mono_ns)
 
     def _report_link(self, report: LinkReport) -> None:

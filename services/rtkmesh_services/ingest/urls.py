@@ -8,6 +8,7 @@ from math import nan
 from typing import Any, Final
 from urllib.parse import parse_qsl, unquote, urlsplit
 
+from rtkmesh_schemas.keys import ID, RESERVED_IDS
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ntrip.address import NTRIP_SCHEMES, CasterAddress, parse_caster, shown_url
 from rtkmesh_services.ntrip.place import Place
@@ -21,12 +22,14 @@ _NTRIP: Final = {
     "max_distance": "km, the nearest mount point may be so far away, default 100",
     "timeout": "seconds without data after which the connection is made anew, default 30",
 }
+_ANTENNA: Final = {"antenna": "1, or 2: the observations of a receiver's second antenna (Unicore OBSVH)"}
 # scheme -> options with their meaning (shown in the reference)
 SCHEMES: Final[dict[str, dict[str, str]]] = {
-    "serial": {"baud": "bits per second, default 115200; auto: found by listening"},
-    "tcp": {"timeout": "seconds without data after which the connection is made anew, default 10"},
-    "tcp-listen": {"timeout": "as tcp"},
-    "udp": {},
+    "serial": {"baud": "bits per second, default 115200; auto: found by listening", **_ANTENNA},
+    "tcp": {"timeout": "seconds without data after which the connection is made anew, default 10", **_ANTENNA},
+    "tcp-listen": {"timeout": "as tcp", **_ANTENNA},
+    "udp": _ANTENNA,
+    "ingest": _ANTENNA,
     "ntrip": _NTRIP,
     "ntrips": {
         **_NTRIP,
@@ -37,12 +40,13 @@ SCHEMES: Final[dict[str, dict[str, str]]] = {
         "speed": "1 real time, 10 ten times as fast, max as fast as the consumers go (default 1)",
         "times": "yes: play the bytes as they came, by PATH.tag of RTKLIB or PATH.times of our recorder; no: by the epochs in them",
         "start": "seconds from the beginning that are played at once, default 0",
+        **_ANTENNA,
     },
-    "stdin": {},
+    "stdin": _ANTENNA,
     "sim": {"rate": "epochs per second, default 5", "seed": "default 1"},
 }
 USB_NAME: Final = re.compile(r"(?P<vid>[0-9A-Fa-f]{4}):(?P<pid>[0-9A-Fa-f]{4})(?::(?P<serial>.+))?")
-_PATHS: Final = ("file", "serial", "sim")
+_PATHS: Final = ("file", "serial", "sim", "ingest")
 _NUMBERS: Final = ("baud", "timeout", "rate", "seed", "gga_period", "max_distance", "start")
 _WORDS: Final[dict[str, tuple[str, ...]]] = {
     "version": ("auto", "1", "2"),
@@ -50,12 +54,13 @@ _WORDS: Final[dict[str, tuple[str, ...]]] = {
     "verify": ("yes", "no"),
     "nearest": ("", "yes", "no"),
     "times": ("no", "yes"),
+    "antenna": ("1", "2"),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class SourceUrl:
-    """A source: ``path`` for serial, file and sim (``scenario/stream``), host and port for the others, ``caster`` for NTRIP."""
+    """A source: ``path`` for serial, file, sim (``scenario/stream``), ingest (its id), host and port for others, ``caster`` for NTRIP."""
 
     scheme: str
     host: str
@@ -70,6 +75,11 @@ class SourceUrl:
         if self.scheme in ("serial", "stdin"):
             return self.path or "standard input"
         return f"{self.scheme}://{self.path}" if self.path else f"{self.scheme}://{self.host}:{self.port}"
+
+    @property
+    def antenna(self) -> int:
+        """Which antenna's observations are wanted."""
+        return int(self.word("antenna"))
 
     def number(self, name: str, default: float) -> float:
         """Return an option as a number; SourceError if it is none."""
@@ -151,6 +161,8 @@ def _located(text: str, scheme: str, rest: str) -> tuple[dict[str, Any], str]:
             raise SourceError(f"{text!r}: needs a path")
         if scheme == "serial" and not (path.startswith(("/", "by-id/")) or USB_NAME.fullmatch(path)):
             raise SourceError(f"{text!r}: names no port: /dev/NAME, by-id/NAME, VID:PID or VID:PID:SERIAL")
+        if scheme == "ingest" and (not ID.fullmatch(path) or path in RESERVED_IDS):
+            raise SourceError(f"{text!r}: {path!r} is no id of an ingest")
         return {**where, "path": path if scheme == "file" else unquote(path)}, query
     if scheme == "stdin":
         return where, rest.partition("?")[2]

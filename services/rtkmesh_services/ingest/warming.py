@@ -6,6 +6,7 @@ from rtkmesh.codecs.rtcm3_encode import encode_epoch
 from rtkmesh.codecs.sbf_encode import encode_meas_epoch, encode_meas_extra
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx_encode import encode_rawx
+from rtkmesh.codecs.unicore_encode import encode_compressed, encode_observations
 from rtkmesh.gnss.epoch import make_epoch
 from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number, signal_number
 from rtkmesh.gnss.time import GpsTime
@@ -26,6 +27,8 @@ def warm_decoder() -> None:
     }
     epoch = make_epoch(start, satellite=satellites, signal=signals, channel=[NO_CHANNEL, 1, NO_CHANNEL, NO_CHANNEL], **columns)
     decoder = StreamDecoder(StreamOptions(approximate_time=start))
-    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1), *2 * [encode_meas_epoch(epoch) + encode_meas_extra(epoch)]):
+    unicore = encode_observations(epoch), encode_compressed(epoch, "OBSVMCMP")
+    septentrio = encode_meas_epoch(epoch) + encode_meas_extra(epoch)
+    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1), *unicore, septentrio, septentrio):
         decoder.feed(data)
     decoder.flush()

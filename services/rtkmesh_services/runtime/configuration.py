@@ -292,6 +292,8 @@ def _check(reader: _Reader, deployment: Deployment) -> None:
         _check_solver(reader, id, solver)
     for id, table in deployment.attitude.items():  # noqa: A001
         _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
+    for id in deployment.ingest:  # noqa: A001
+        _check_followed(reader, id, deployment.ingest)
     for id, output in deployment.output.items():  # noqa: A001
         _check_output(reader, id, output)
     _check_lists(reader, deployment)
@@ -364,6 +366,20 @@ def _check_output(reader: _Reader, id: str, output: OutputTable) -> None:  # noq
             text = f"{clip(mount)!r} is no mount point: letters, digits, '_', '-', '.'"
             reader.fault(("output", id, "mounts", mount), f"[output.{id}] mounts: {text}")
         _check_reference(reader, "ingest", receiver, ("output", id, "mounts", mount))
+
+
+def _check_followed(reader: _Reader, id: str, ingests: Mapping[str, IngestTable]) -> None:  # noqa: A002
+    """An ingest that takes another one's frames needs one that publishes them, live."""
+    for followed in ingests[id].follows:
+        path, table = ("ingest", id, "source"), ingests.get(followed)
+        if table is None:
+            _check_reference(reader, "ingest", followed, path)
+            continue
+        reason = "publishes no frames: raw = false" if not table.raw else ""
+        reason = "takes its frames from an ingest itself" if table.follows else reason
+        reason = "is a recording: play it twice, the second time with ?antenna=2" if table.replay else reason
+        if reason:
+            reader.fault(path, f"[ingest.{id}] source: [ingest.{followed}] {reason}")
 
 
 def _check_id(reader: _Reader, owners: dict[str, str], role: str, id: str) -> None:  # noqa: A002
