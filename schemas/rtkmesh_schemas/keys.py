@@ -86,6 +86,7 @@ _WORKERS = tuple(role for role in Role if role is not Role.HUB)
 STREAMS: Final = (
     Stream("cmd", "rtk/{id}/cmd", Kind.QUERYABLE, _ALL, "Reply", "commands: start stop restart load shutdown status config set get"),
     Stream("raw", "rtk/{id}/raw/{protocol}", Kind.PUBLISH, (Role.INGEST,), "", "one whole, checked frame; attachment: sequence, receive times", None, Priority.DATA_LOW),
+    Stream("made", "rtk/{id}/made/{output}", Kind.PUBLISH, (Role.INGEST,), "", "RTCM 3 frames made of the decoded stream for an output with encode; attachment as raw", None, Priority.DATA_LOW),
     Stream("obs", "rtk/{id}/obs", Kind.PUBLISH, (Role.INGEST,), "Observation", "decoded epoch, columnar", None, Priority.DATA_HIGH),
     Stream("eph", "rtk/{id}/eph/{satellite}", Kind.CACHED, (Role.INGEST,), "EphemerisMessage", "broadcast ephemeris; a late joiner starts warm", 0.0, Priority.DATA_HIGH, cache=2),
     Stream("iono", "rtk/{id}/iono", Kind.CACHED, (Role.INGEST,), "IonosphereMessage", "broadcast ionosphere coefficients", 0.0, Priority.DATA_HIGH, cache=2),
@@ -108,8 +109,8 @@ STREAMS: Final = (
 )  # fmt: skip
 
 BY_NAME: Final = {stream.name: stream for stream in STREAMS}
-CMD, RAW, OBS, EPH, IONO, REF, END, CREDIT, WRITE = (
-    BY_NAME[n] for n in ("cmd", "raw", "obs", "eph", "iono", "ref", "end", "credit", "write")
+CMD, RAW, MADE, OBS, EPH, IONO, REF, END, CREDIT, WRITE = (
+    BY_NAME[n] for n in ("cmd", "raw", "made", "obs", "eph", "iono", "ref", "end", "credit", "write")
 )
 SOL, SOL_TEXT, SAT, ATT, STATUS, EVENT, LOG = (BY_NAME[n] for n in ("sol", "sol_text", "sat", "att", "status", "event", "log"))
 METRICS, LATEST, PRESET, FLOCKWAVE, LIVE = (BY_NAME[n] for n in ("metrics", "latest", "preset", "flockwave", "live"))

@@ -11,14 +11,15 @@ from rtkmesh.codecs.framing import Framer
 from rtkmesh.codecs.messages import Frame, Protocol
 from rtkmesh.codecs.observation_rows import Rows
 from rtkmesh.codecs.rtcm3 import MSM, Rtcm3Decoder
-from rtkmesh.codecs.rtcm3_encode import encode_station
+from rtkmesh.codecs.rtcm3_encode import encode_ephemeris, encode_epoch, encode_glonass_bias, encode_station, encode_station_message
 from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS
 from rtkmesh.codecs.rtcm3_legacy import NUMBERS as LEGACY
 from rtkmesh.codecs.rtcm3_legacy import LegacyDecoder
-from rtkmesh.codecs.rtcm3_msm import FIRST_SATELLITE, MILLISECOND_M, SYSTEM_OF_GROUP, decode_msm
+from rtkmesh.codecs.rtcm3_msm import FIRST_SATELLITE, GROUP_OF_SYSTEM, MILLISECOND_M, SIGNAL_OF_BIT, SYSTEM_OF_GROUP, decode_msm
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
-from rtkmesh.gnss.ephemeris import ReferenceStation
-from rtkmesh.gnss.signals import NO_CHANNEL, carrier_hz, signal_code, signal_number
+from rtkmesh.gnss.ephemeris import GlonassBias, KeplerEphemeris, NavigationMessage, ReferenceStation
+from rtkmesh.gnss.epoch import HALF_CYCLE, Epoch, make_epoch
+from rtkmesh.gnss.signals import NO_CHANNEL, SYSTEMS, carrier_hz, satellite_number, signal_code, signal_number
 from rtkmesh.gnss.time import GpsTime
 
 PER_KIND_AND_FILE = 2
@@ -168,7 +169,7 @@ def test_ephemeris_fields_equal(data: Path):
             expected = parsed[theirs] >> 7 if theirs == "DF107" else parsed[theirs] * THEIR_UNITS.get(ours, 1.0)
             assert values[ours] == pytest.approx(expected, rel=1e-12), (number, ours)
         checked[number] += 1
-    assert set(checked) == set(LAYOUTS)
+    assert set(checked) == set(LAYOUTS) - {1041}  # no recording has it: see below
 
 
 def test_an_encoded_station_reads_the_same():
@@ -197,3 +198,87 @@ def test_first_satellites_follow_the_masks():
     """SBAS PRN 120 is RINEX S20, QZSS 193 is J01."""
     assert FIRST_SATELLITE[5] + 1 == 20
     assert FIRST_SATELLITE[4] + 1 == 1
+
+
+CODES = {"G": "1C 2L 2W 5Q", "R": "1C 2C", "E": "1C 5Q 7Q", "C": "2I 6I 7I", "J": "1C 2L 5Q"}  # all signals are in the decoder's test
+
+
+def an_epoch(letter: str) -> Epoch:
+    """Five satellites of one system with all signals, values of their own in each field."""
+    rows = [(satellite_number(f"{letter}{k:02d}"), signal_number(code)) for k in (1, 2, 4, 7, 9) for code in CODES[letter].split()]
+    satellite, signal = (np.array(column) for column in zip(*rows, strict=True))
+    channel, k = np.where(satellite // 64 == 1, satellite % 13 - 7, NO_CHANNEL), np.arange(len(rows))
+    carrier = np.array([carrier_hz(*one) for one in zip(satellite.tolist(), signal.tolist(), channel.tolist(), strict=True)])
+    range_m = 2.1e7 + 1.234e5 * (satellite % 64) + 3.3 * k
+    return make_epoch(
+        GpsTime(2400, 345600.2), satellite=satellite, signal=signal, channel=channel, pseudorange_m=range_m, flags=k % 2 * HALF_CYCLE,
+        phase_cyc=(range_m + 7.7 - k) * carrier / SPEED_OF_LIGHT_MPS,
+        doppler_hz=-(100.0 * (satellite % 7) + 0.01 * k) * carrier / SPEED_OF_LIGHT_MPS, cn0_dbhz=30.0 + k, lock_s=1.0 + 10.0 * k,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("level", [4, 5, 7])
+@pytest.mark.parametrize("letter", list(CODES))
+def test_an_encoded_epoch_reads_the_same(letter: str, level: int):
+    """pyrtcm reads satellites, signals, ranges, phases, rates, strengths and half cycles of our MSM4, MSM5 and MSM7, cell by cell."""
+    epoch, system = an_epoch(letter), SYSTEMS.index(letter)
+    [data] = encode_epoch(epoch, 1234, level)
+    fields = vars(RTCMReader.parse(data))
+    assert (int(fields["DF002"]), fields["DF003"]) == (10 * GROUP_OF_SYSTEM[system] + level, 1234)
+    channels = np.full(64, NO_CHANNEL, np.int8)
+    channels[epoch.satellite % 64] = epoch.channel
+    rows = msm_rows(int(fields["DF002"]), fields, channels)
+    order = np.lexsort(([bit_of(system, int(signal)) for signal in epoch.signal], epoch.satellite))
+    assert [row[:2] for row in rows] == [(int(epoch.satellite[k]), int(epoch.signal[k])) for k in order]
+    code_ms, phase_ms, cn0 = {4: (2.0**-24, 2.0**-29, 1.0), 5: (2.0**-24, 2.0**-29, 1.0), 7: (2.0**-29, 2.0**-31, 2.0**-4)}[level]
+    for number, (row, k) in enumerate(zip(rows, order, strict=True), 1):
+        wavelength_m = SPEED_OF_LIGHT_MPS / carrier_hz(int(epoch.satellite[k]), int(epoch.signal[k]), int(epoch.channel[k]))
+        assert abs(row[2] - epoch.pseudorange_m[k]) <= 0.51 * code_ms * MILLISECOND_M
+        assert abs(row[3] - epoch.phase_cyc[k]) * wavelength_m <= 0.51 * phase_ms * MILLISECOND_M
+        if level != 4:
+            assert abs(row[4] - epoch.doppler_hz[k]) * wavelength_m <= 0.51e-4
+        assert abs(row[5] - epoch.cn0_dbhz[k]) <= 0.51 * cn0
+        assert fields[f"DF420_{number:02d}"] == (epoch.flags[k] & HALF_CYCLE) // HALF_CYCLE
+
+
+def bit_of(system: int, signal: int) -> int:
+    return int(np.flatnonzero(SIGNAL_OF_BIT[system] == signal)[0])
+
+
+def test_encoded_station_messages_read_the_same():
+    """1005, 1007, 1008 and 1230."""
+    where = (3774089.2120, -601661.6157, 5089321.2474)
+    station = ReferenceStation(1234, where, 1.2345, "LEIAR25.R3      NONE", "09330026", "RECEIVER X")
+    position, antenna, serial = (vars(RTCMReader.parse(encode_station_message(station, number))) for number in (1005, 1007, 1008))
+    assert [position[name] for name in ("DF025", "DF026", "DF027")] == pytest.approx(where, abs=1e-9)
+    assert (text_of(antenna, "DF030"), text_of(serial, "DF030"), text_of(serial, "DF033")) == (station.antenna, station.antenna, "09330026")
+    bias = vars(RTCMReader.parse(encode_glonass_bias(GlonassBias(1234, True, (1.5, float("nan"), -2.24, float("nan"))))))
+    assert (bias["DF421"], bias["DF422_1"], bias["DF422_2"], bias["DF422_3"], bias["DF422_4"]) == (1, 1, 0, 1, 0)
+    assert (bias["DF423"], bias["DF425"]) == pytest.approx((1.5, -2.24))
+    with pytest.raises(ValueError, match="1013"):
+        encode_station_message(station, 1013)
+
+
+def text_of(fields: dict[str, object], name: str) -> str:
+    return "".join(str(fields[key]) for key in sorted(fields) if key.startswith(name))
+
+
+def test_an_encoded_navic_ephemeris_reads_the_same():
+    """1041: every field, whose order and scale no recording shows."""
+    toe = GpsTime(2400, 345600.0)
+    sent = KeplerEphemeris(
+        satellite=satellite_number("I05"), message=NavigationMessage.LNAV, iode=33, iodc=33, toe=toe, toc=toe + -16.0, transmitted=toe,
+        health=2, accuracy_m=4.0, fit_s=7200.0, sqrt_a=6493.25, eccentricity=0.002, m0_rad=1.0, delta_n_radps=4e-9, omega0_rad=2.0,
+        omega_rad=-1.0, omega_dot_radps=-8e-9, i0_rad=0.5, idot_radps=1e-10, cuc_rad=1e-6, cus_rad=2e-6, crc_m=100.0, crs_m=-50.0,
+        cic_rad=1e-7, cis_rad=-1e-7, af0_s=1e-4, af1=1e-11, af2=0.0, group_delay_s=(-(2.0**-30), 0.0),
+    )  # fmt: skip
+    fields = vars(RTCMReader.parse(encode_ephemeris(sent)))
+    names = {
+        "DF516": 5, "DF517": 2400 % 1024, "DF518": sent.af0_s, "DF519": sent.af1, "DF522": 345584.0, "DF523": -(2.0**-30), "DF524": 4e-9,
+        "DF525": 33, "DF527": 1, "DF528": 0, "DF529": 1e-6, "DF530": 2e-6, "DF531": 1e-7, "DF532": -1e-7, "DF533": 100.0, "DF534": -50.0,
+        "DF535": 1e-10, "DF536": 1.0, "DF537": 345600.0, "DF538": 0.002, "DF539": 6493.25, "DF540": 2.0, "DF541": -1.0, "DF542": -8e-9,
+        "DF543": 0.5,
+    }  # fmt: skip
+    angles = {"DF524", "DF535", "DF536", "DF540", "DF541", "DF542", "DF543"}  # semicircles
+    for name, value in names.items():
+        assert fields[name] * (np.pi if name in angles else 1.0) == pytest.approx(value, rel=2e-2, abs=1e-14), name

@@ -65,7 +65,9 @@ def messages(draw: st.DrawFn) -> tuple[int, bytes]:
         "m": 1,
     }
     values |= {"almanac_health": 1, "almanac_health_available": 1, "fit": 0}
-    values |= dict.fromkeys(("p1", "p2", "p3", "p", "p4", "additional", "na_days", "tau_c_s", "tau_gps_s", "ln_5", "tk_half_minutes"), 0)
+    values |= dict.fromkeys(
+        ("p1", "p2", "p3", "p", "p4", "additional", "na_days", "tau_c_s", "tau_gps_s", "ln_5", "tk_half_minutes", "spare"), 0
+    )
     return number, payload_of(number, {name: value for name, value in values.items() if any(f.name == name for f in layout.fields)})
 
 
@@ -186,7 +188,9 @@ def test_impossible_ephemerides_are_refused_with_a_reason():
 
 def test_systems_without_a_message_are_refused():
     with pytest.raises(ValueError, match="no RTCM 3 ephemeris"):
-        ephemeris_payload(a_gps_ephemeris(NOW, satellite=satellite_number("I03")))
+        ephemeris_payload(a_gps_ephemeris(NOW, satellite=satellite_number("S03")))
+    with pytest.raises(ValueError, match="CNAV"):
+        ephemeris_payload(a_gps_ephemeris(NOW, message=NavigationMessage.CNAV))
 
 
 def test_beidou_week_and_times_are_of_the_beidou_scale():

@@ -132,12 +132,25 @@ def environment_of(pid: int) -> list[str]:
         return []
 
 
+def free_besides(*taken: int) -> int:
+    """Return a loopback port that is free now and none of these."""
+    while True:
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            found: int = probe.getsockname()[1]
+            if found not in taken:
+                return found
+
+
 @pytest.fixture
 def port() -> int:
     """A loopback port that is free now."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        found: int = probe.getsockname()[1]
-        return found
+    return free_besides()
+
+
+@pytest.fixture
+def free(port: int) -> int:
+    """A second free port."""
+    return free_besides(port)
 
 
 @pytest.fixture

@@ -2,14 +2,13 @@
 
 import json
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.e2e.conftest import Deployment
+from tests.e2e.conftest import Deployment, free_besides
 
 from rtkmesh_schemas.keys import SOL, STATUS
 from rtkmesh_schemas.solution import SolutionMessage
@@ -141,20 +140,6 @@ def test_a_caster_that_dies_is_replaced_by_the_next_one_and_taken_again(up: Call
 def run(*arguments: str) -> str:
     command = [sys.executable, "-m", "rtkmesh_services.cli.main", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20, env=os.environ.copy()).stdout
-
-
-def free_besides(*taken: int) -> int:
-    while True:
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            found: int = probe.getsockname()[1]
-            if found not in taken:
-                return found
-
-
-@pytest.fixture
-def free(port: int) -> int:
-    """A second free port."""
-    return free_besides(port)
 
 
 @pytest.fixture

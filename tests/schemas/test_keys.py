@@ -16,7 +16,8 @@ REFERENCE = Path(__file__).resolve().parents[2] / "docs" / "reference"
 def test_every_key_leads_back_to_its_stream_and_owner():
     """A concrete key names one row of the table and one process, for every row."""
     for stream in STREAMS:
-        fields = {name: "x1" for name in ("protocol", "satellite", "format", "level", "name", "role") if f"{{{name}}}" in stream.template}
+        names = ("protocol", "satellite", "format", "level", "name", "role", "output")
+        fields = {name: "x1" for name in names if f"{{{name}}}" in stream.template}
         found = stream_of(stream.key("rover_1", **fields))
         assert found is not None
         assert found[0] is stream

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from tests.services.scripted_caster import chunked
 
 from rtkmesh_services.errors import SourceError
+from rtkmesh_services.ingest.gga import gga_sentence
 from rtkmesh_services.ntrip.address import CasterAddress, parse_caster, shown_url
 from rtkmesh_services.ntrip.connection import refused
-from rtkmesh_services.ntrip.gga import Place, gga_sentence
+from rtkmesh_services.ntrip.place import Place
 from rtkmesh_services.ntrip.protocol import (
     MAXIMUM_CHUNK_LINE,
     MAXIMUM_HEADER,

@@ -21,7 +21,7 @@ from rtkmesh_services.ingest.ntrip_source import FindPlace
 from rtkmesh_services.ingest.urls import parse_source
 from rtkmesh_services.ntrip.address import CasterAddress
 from rtkmesh_services.ntrip.connection import fetch_table
-from rtkmesh_services.ntrip.gga import Place
+from rtkmesh_services.ntrip.place import Place
 from rtkmesh_services.runtime.backoff import CASTER, LOCAL, Backoff, Pauses
 
 WAIT_S = 10.0

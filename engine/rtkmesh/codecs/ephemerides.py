@@ -21,6 +21,7 @@ MOSCOW_MINUS_UTC_S: Final = 10800.0  # GLONASS ICD 5.1, 3.3.3
 # Half-widths of validity around toe.
 GPS_FIT_S: Final = 7200.0  # IS-GPS-200N 20.3.3.4.3.1: 4 h in all
 QZSS_FIT_S: Final = 7200.0
+NAVIC_FIT_S: Final = 7200.0
 GALILEO_FIT_S: Final = 14400.0  # Galileo OS SDD 1.3: at most 4 h old
 BEIDOU_FIT_S: Final = 10800.0
 

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from math import isfinite
 from typing import Final
 
-from rtkmesh.codecs.accuracy import NO_ACCURACY_M
+from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, accuracy_m
 from rtkmesh.codecs.messages import DecodingCounters
 from rtkmesh.codecs.rinex_header import as_bytes, header_lines, integer, number, numbers, version_and_type
 from rtkmesh.errors import FormatError
@@ -181,8 +181,13 @@ def _galileo(satellite: int, date: datetime, v: list[float]) -> Ephemeris:
     clock_fnav, clock_inav = sources >> 8 & 1, sources >> 9 & 1
     fnav = bool(clock_fnav) if clock_fnav != clock_inav else sources & 0b111 == 0b010
     message = NavigationMessage.FNAV if fnav else NavigationMessage.INAV
-    accuracy_m = v[23] if v[23] >= 0.0 else NO_ACCURACY_M
-    return _kepler(satellite, v, message, _gpst(date), issues=(v[3], v[3]), accuracy_m=accuracy_m, fit_s=14400.0)
+    sisa_m = v[23] if v[23] >= 0.0 else NO_ACCURACY_M
+    return _kepler(satellite, v, message, _gpst(date), issues=(v[3], v[3]), accuracy_m=sisa_m, fit_s=14400.0)
+
+
+def _navic(satellite: int, date: datetime, v: list[float]) -> Ephemeris:
+    ephemeris = _kepler(satellite, v, NavigationMessage.LNAV, _gpst(date), issues=(v[3], v[3]), accuracy_m=v[23], fit_s=7200.0)
+    return _with_delays(ephemeris, (v[25], 0.0))
 
 
 def _beidou(satellite: int, date: datetime, v: list[float]) -> Ephemeris:
@@ -204,7 +209,7 @@ def _glonass(satellite: int, date: datetime, v: list[float]) -> Ephemeris:
     midnight_s = tb.tow_s - tb.tow_s % SECONDS_PER_DAY
     sent_s = midnight_s + v[2] % SECONDS_PER_DAY
     sent_s -= SECONDS_PER_DAY * round((sent_s - tb.tow_s) / SECONDS_PER_DAY)
-    extended = len(v) >= 19  # RINEX 3.05 has a fifth line: status, delay L2 - L1, URA, health
+    extended = len(v) >= 19  # RINEX 3.05 has a fifth line: status, delay L2 - L1, index F_T, health
     channel = int(v[10])
     if channel > 128:  # some receivers write the channel as an unsigned byte
         channel -= 256
@@ -212,7 +217,7 @@ def _glonass(satellite: int, date: datetime, v: list[float]) -> Ephemeris:
         satellite=satellite, channel=channel if -7 <= channel <= 13 else NO_CHANNEL,
         iode=int((tb.tow_s + 10800.0) % SECONDS_PER_DAY // quarter),
         toe=tb + leap_s, transmitted=GpsTime.normalized(tb.week, sent_s) + leap_s, health=int(v[6]),
-        accuracy_m=v[17] if extended and 0.0 < v[17] < 1000.0 else _GLONASS_ACCURACY_M, age_days=int(v[14]),
+        accuracy_m=accuracy_m(GLONASS_FT_M, int(v[17])) if extended and 0.0 <= v[17] < 16.0 else _GLONASS_ACCURACY_M, age_days=int(v[14]),
         position_m=(v[3] * 1e3, v[7] * 1e3, v[11] * 1e3), velocity_mps=(v[4] * 1e3, v[8] * 1e3, v[12] * 1e3),
         acceleration_mps2=(v[5] * 1e3, v[9] * 1e3, v[13] * 1e3), tau_s=v[0], gamma=v[1],
         group_delay_s=v[16] if extended and abs(v[16]) < 1e-6 else 0.0,
@@ -225,6 +230,7 @@ _BUILDERS: Final[dict[str, Callable[[int, datetime, list[float]], Ephemeris]]] =
     "E": _galileo,
     "C": _beidou,
     "J": _qzss,
+    "I": _navic,
 }
 
 

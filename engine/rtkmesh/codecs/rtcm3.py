@@ -28,7 +28,7 @@ from rtkmesh.gnss.time import GpsTime
 MAX_HELD: Final = 256
 OVERHEAD: Final = 3  # bytes before and behind the payload
 MSM: Final = frozenset(10 * group + level for group in SYSTEM_OF_GROUP for level in (4, 5, 6, 7))
-_TEN_BIT_WEEKS: Final = (1019, 1044)
+_TEN_BIT_WEEKS: Final = (1019, 1041, 1044)
 _HALF_AN_ERA: Final = 512  # weeks
 OBSERVATIONS: Final = MSM | frozenset(rtcm3_legacy.NUMBERS)
 _WITH_STATION: Final = OBSERVATIONS | frozenset(rtcm3_station.NUMBERS)

@@ -53,14 +53,23 @@ def frame(payload: bytes) -> bytes:
 
 
 def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
-    """Return the frame of a 1019, 1020, 1042, 1044, 1045 or 1046; ValueError if a value does not fit its field."""
+    """Return the frame of a 1019, 1020, 1041, 1042, 1044, 1045 or 1046; ValueError if a value does not fit its field."""
     return frame(ephemeris_payload(ephemeris))
+
+
+def encode_station_message(station: ReferenceStation, number: int) -> bytes:
+    """Return the frame of a 1005, 1006, 1007, 1008 or 1033; ValueError for other numbers or without its position."""
+    if number in (1005, 1006):
+        return frame(position_payload(station, with_height=number == 1006))
+    if number in (1007, 1008, 1033):
+        return frame(descriptor_payload(station, number))
+    raise ValueError(f"{number} is no station message")
 
 
 def encode_station(station: ReferenceStation) -> list[bytes]:
     """Return the frames of 1006 (if the position is known) and 1033."""
-    position = [frame(position_payload(station, with_height=True))] if station.position_ecef_m is not None else []
-    return [*position, frame(descriptor_payload(station))]
+    numbers = (1006, 1033) if station.position_ecef_m is not None else (1033,)
+    return [encode_station_message(station, number) for number in numbers]
 
 
 def encode_glonass_bias(bias: GlonassBias) -> bytes:

@@ -1,23 +1,22 @@
-"""RTCM 3 ephemeris messages 1019, 1020, 1042, 1044, 1045 and 1046 (RTCM 10403.3, 3.5.9 and 3.5.12): tables, both ways.
+"""RTCM 3 ephemeris messages 1019, 1020, 1041, 1042, 1044, 1045 and 1046 (RTCM 10403.3, 3.5.9 and 3.5.12): tables, both ways.
 
 The messages carry a truncated week and no time of transmission. The week is resolved near the stream's clock, toe is moved to
 the neighbouring week when the week belongs to the transmission and toe lies beyond its end, and ``transmitted`` is the clock
 if the ephemeris can have been sent then, else toe.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
-from math import ldexp
 from typing import Final
 
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, SISA_M, URA_M, Table, accuracy_index, accuracy_m
-from rtkmesh.codecs.bits import Coding, Field, Layout
-from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, QZSS_FIT_S, gps_fit_s
+from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, NAVIC_FIT_S, QZSS_FIT_S, gps_fit_s
+from rtkmesh.codecs.rtcm3_ephemeris_layouts import LAYOUTS
 from rtkmesh.codecs.utc import leap_seconds_of, moscow_hour, utc_year
-from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, PI_GPS, SECONDS_PER_DAY, SECONDS_PER_WEEK
+from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, SECONDS_PER_DAY, SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, NavigationMessage
-from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, NAVIC, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime, nearest_week, resolve_week
 
 # Without any other time, ten-bit weeks are taken to lie within 512 weeks of this one: 2019-04-07 to 2038-11-20.
@@ -30,109 +29,13 @@ _SURE_S: Final = 2.0 * SECONDS_PER_DAY
 _LAG_S: Final = 60.0  # the clock is that of the last epoch
 _BESIDE_MIDNIGHT_S: Final = 3600.0
 _SHIFT_WINDOW_S: Final = SECONDS_PER_DAY / 2.0  # toe is at most some hours from the transmission
-_U, _S, _M = Coding.UNSIGNED, Coding.TWOS_COMPLEMENT, Coding.SIGN_MAGNITUDE
 
 Values = Mapping[str, float]
-Row = tuple[str, int] | tuple[str, int, float] | tuple[str, int, float, Coding]
-
-
-def _layout(name: str, rows: Iterable[Row]) -> Layout:
-    """Return the layout of fields that follow one another, as (name, bits, scale, coding)."""
-    fields: list[Field] = []
-    at = 0
-    for row in rows:
-        part = ((at, row[1]),)
-        if len(row) == 4:
-            fields.append(Field(row[0], part, row[2], row[3]))
-        else:
-            fields.append(Field(row[0], part, row[2] if len(row) == 3 else 1.0))
-        at += row[1]
-    return Layout(name, at, tuple(fields))
-
-
-def _two(exponent: int) -> float:
-    return ldexp(1.0, exponent)
-
-
-def _pi(exponent: int) -> float:
-    return ldexp(PI_GPS, exponent)
-
-
-_ANGLE: Final = (32, _pi(-31), _S)
-_RATE14: Final = (14, _pi(-43), _S)
-_RATE16: Final = (16, _pi(-43), _S)
-_RATE24: Final = (24, _pi(-43), _S)
-_HARMONIC: Final = (16, _two(-29), _S)
-_RADIUS: Final = (16, _two(-5), _S)
-_ECCENTRICITY: Final = (32, _two(-33))
-_ROOT: Final = (32, _two(-19))
-
-_GPS: Final = _layout("1019", (
-    ("number", 12), ("slot", 6), ("week", 10), ("accuracy", 4), ("l2_code", 2), ("idot_radps", *_RATE14), ("iode", 8), ("toc_s", 16, 16.0),
-    ("af2", 8, _two(-55), _S), ("af1", 16, _two(-43), _S), ("af0_s", 22, _two(-31), _S), ("iodc", 10), ("crs_m", *_RADIUS),
-    ("delta_n_radps", *_RATE16), ("m0_rad", *_ANGLE), ("cuc_rad", *_HARMONIC), ("eccentricity", *_ECCENTRICITY), ("cus_rad", *_HARMONIC),
-    ("sqrt_a", *_ROOT), ("toe_s", 16, 16.0), ("cic_rad", *_HARMONIC), ("omega0_rad", *_ANGLE), ("cis_rad", *_HARMONIC), ("i0_rad", *_ANGLE),
-    ("crc_m", *_RADIUS), ("omega_rad", *_ANGLE), ("omega_dot_radps", *_RATE24), ("tgd_s", 8, _two(-31), _S), ("health", 6), ("l2p_flag", 1),
-    ("fit", 1),
-))  # fmt: skip
-
-_QZSS: Final = _layout("1044", (
-    ("number", 12), ("slot", 4), ("toc_s", 16, 16.0), ("af2", 8, _two(-55), _S), ("af1", 16, _two(-43), _S), ("af0_s", 22, _two(-31), _S),
-    ("iode", 8), ("crs_m", *_RADIUS), ("delta_n_radps", *_RATE16), ("m0_rad", *_ANGLE), ("cuc_rad", *_HARMONIC),
-    ("eccentricity", *_ECCENTRICITY), ("cus_rad", *_HARMONIC), ("sqrt_a", *_ROOT), ("toe_s", 16, 16.0), ("cic_rad", *_HARMONIC),
-    ("omega0_rad", *_ANGLE), ("cis_rad", *_HARMONIC), ("i0_rad", *_ANGLE), ("crc_m", *_RADIUS), ("omega_rad", *_ANGLE),
-    ("omega_dot_radps", *_RATE24), ("idot_radps", *_RATE14), ("l2_code", 2), ("week", 10), ("accuracy", 4), ("health", 6),
-    ("tgd_s", 8, _two(-31), _S), ("iodc", 10), ("fit", 1),
-))  # fmt: skip
-
-_BEIDOU: Final = _layout("1042", (
-    ("number", 12), ("slot", 6), ("week", 13), ("accuracy", 4), ("idot_radps", *_RATE14), ("iode", 5), ("toc_s", 17, 8.0),
-    ("af2", 11, _two(-66), _S), ("af1", 22, _two(-50), _S), ("af0_s", 24, _two(-33), _S), ("iodc", 5), ("crs_m", 18, _two(-6), _S),
-    ("delta_n_radps", *_RATE16), ("m0_rad", *_ANGLE), ("cuc_rad", 18, _two(-31), _S), ("eccentricity", *_ECCENTRICITY),
-    ("cus_rad", 18, _two(-31), _S), ("sqrt_a", *_ROOT), ("toe_s", 17, 8.0), ("cic_rad", 18, _two(-31), _S), ("omega0_rad", *_ANGLE),
-    ("cis_rad", 18, _two(-31), _S), ("i0_rad", *_ANGLE), ("crc_m", 18, _two(-6), _S), ("omega_rad", *_ANGLE), ("omega_dot_radps", *_RATE24),
-    ("tgd1_s", 10, 1e-10, _S), ("tgd2_s", 10, 1e-10, _S), ("health", 1),
-))  # fmt: skip
-
-_GALILEO_ROWS: Final[tuple[Row, ...]] = (
-    ("number", 12), ("slot", 6), ("week", 12), ("iode", 10), ("accuracy", 8), ("idot_radps", *_RATE14), ("toc_s", 14, 60.0),
-    ("af2", 6, _two(-59), _S), ("af1", 21, _two(-46), _S), ("af0_s", 31, _two(-34), _S), ("crs_m", *_RADIUS), ("delta_n_radps", *_RATE16),
-    ("m0_rad", *_ANGLE), ("cuc_rad", *_HARMONIC), ("eccentricity", *_ECCENTRICITY), ("cus_rad", *_HARMONIC), ("sqrt_a", *_ROOT),
-    ("toe_s", 14, 60.0), ("cic_rad", *_HARMONIC), ("omega0_rad", *_ANGLE), ("cis_rad", *_HARMONIC), ("i0_rad", *_ANGLE),
-    ("crc_m", *_RADIUS), ("omega_rad", *_ANGLE), ("omega_dot_radps", *_RATE24), ("bgd_e5a_s", 10, _two(-32), _S),
-)  # fmt: skip
-_FNAV: Final = _layout("1045", (*_GALILEO_ROWS, ("health_e5a", 2), ("invalid_e5a", 1), ("reserved", 7)))
-_INAV: Final = _layout("1046", (
-    *_GALILEO_ROWS, ("bgd_e5b_s", 10, _two(-32), _S), ("health_e5b", 2), ("invalid_e5b", 1), ("health_e1b", 2), ("invalid_e1b", 1),
-    ("reserved", 2),
-))  # fmt: skip
-
-_KM: Final = 1e3
-
-
-def _axis(name: str) -> tuple[Row, ...]:
-    return (
-        (f"velocity_{name}_mps", 24, _KM * _two(-20), _M),
-        (f"position_{name}_m", 27, _KM * _two(-11), _M),
-        (f"acceleration_{name}_mps2", 5, _KM * _two(-30), _M),
-    )
-
-
-_GLONASS: Final = _layout("1020", (
-    ("number", 12), ("slot", 6), ("channel", 5), ("almanac_health", 1), ("almanac_health_available", 1), ("p1", 2), ("tk_hours", 5),
-    ("tk_minutes", 6), ("tk_half_minutes", 1), ("bn_msb", 1), ("p2", 1), ("tb_s", 7, 900.0), *_axis("x"), *_axis("y"), *_axis("z"),
-    ("p3", 1), ("gamma", 11, _two(-40), _M), ("p", 2), ("ln_3", 1), ("tau_n_s", 22, _two(-30), _M), ("delta_tau_n_s", 5, _two(-30), _M),
-    ("age_days", 5), ("p4", 1), ("ft", 4), ("nt_days", 11), ("m", 2), ("additional", 1), ("na_days", 11), ("tau_c_s", 32, _two(-31), _M),
-    ("n4", 5), ("tau_gps_s", 22, _two(-30), _M), ("ln_5", 1), ("reserved", 7),
-))  # fmt: skip
-
 # Bits of the week, number of its week 0, and GPST minus the system's time.
 _WEEKS: Final = {
-    1019: (10, 0, 0.0), 1042: (13, BDT_WEEK_OFFSET, -BDT_MINUS_GPST_S), 1044: (10, 0, 0.0), 1045: (12, GST_WEEK_OFFSET, 0.0),
-    1046: (12, GST_WEEK_OFFSET, 0.0),
+    1019: (10, 0, 0.0), 1041: (10, 0, 0.0), 1042: (13, BDT_WEEK_OFFSET, -BDT_MINUS_GPST_S), 1044: (10, 0, 0.0),
+    1045: (12, GST_WEEK_OFFSET, 0.0), 1046: (12, GST_WEEK_OFFSET, 0.0),
 }  # fmt: skip
-
-LAYOUTS: Final = {1019: _GPS, 1020: _GLONASS, 1042: _BEIDOU, 1044: _QZSS, 1045: _FNAV, 1046: _INAV}
 
 
 class EphemerisDecoder:
@@ -146,7 +49,7 @@ class EphemerisDecoder:
     ) -> tuple[Ephemeris | str, bool]:
         """Return the ephemeris of a message, or the reason of its rejection, and whether there is nothing new in it.
 
-        Without a ``clock`` the weeks of 1019 and 1044 are resolved in ``ERA``; the other systems' weeks are long enough. A message has
+        Without a ``clock`` the weeks of 1019, 1041 and 1044 are resolved in ``ERA``; the others' are long enough. A message has
         nothing new if it repeats the last one of its satellite, whose ephemeris ``is_known`` says is the one that counts: then that is
         returned, with its own time of transmission.
         """
@@ -183,6 +86,12 @@ def _decode_gps(v: Values, clock: GpsTime | None) -> Ephemeris | str:
 
 def _decode_qzss(v: Values, clock: GpsTime | None) -> Ephemeris | str:
     return _kepler(1044, QZSS, v, clock, NavigationMessage.LNAV, QZSS_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd_s"], 0.0))
+
+
+def _decode_navic(v: Values, clock: GpsTime | None) -> Ephemeris | str:
+    """The message has one issue, that of orbit and clock, and two bits of health: L5, S."""
+    v = {**v, "iodc": v["iode"]}
+    return _kepler(1041, NAVIC, v, clock, NavigationMessage.LNAV, NAVIC_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd_s"], 0.0))
 
 
 def _decode_beidou(v: Values, clock: GpsTime | None) -> Ephemeris | str:
@@ -308,6 +217,7 @@ def _near_time_of_day(tow_s: float, near: GpsTime) -> GpsTime:
 _DECODERS: Final[dict[int, Callable[[Values, GpsTime | None], Ephemeris | str]]] = {
     1019: _decode_gps,
     1020: _decode_glonass,
+    1041: _decode_navic,
     1042: _decode_beidou,
     1044: _decode_qzss,
     1045: _decode_fnav,
@@ -351,10 +261,12 @@ def _kepler_values(e: KeplerEphemeris) -> tuple[int, dict[str, float]]:
 
 def _number_of(e: KeplerEphemeris) -> int:
     system = e.satellite // SATELLITES_PER_SYSTEM
+    if e.message is NavigationMessage.CNAV:
+        raise ValueError("no RTCM 3 ephemeris message for CNAV")
     if system == GALILEO:
         return 1045 if e.message is NavigationMessage.FNAV else 1046
     try:
-        return {GPS: 1019, QZSS: 1044, BEIDOU: 1042}[system]
+        return {GPS: 1019, QZSS: 1044, BEIDOU: 1042, NAVIC: 1041}[system]
     except KeyError:
         raise ValueError(f"no RTCM 3 ephemeris message for system {system}") from None
 

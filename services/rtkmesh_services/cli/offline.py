@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import chain
@@ -20,9 +19,10 @@ from rtkmesh.rtk.session import EndOfStream, Session, SessionOptions, Source
 from rtkmesh.rtk.solution import Reason, Solution, Status
 from rtkmesh.rtk.track import Track, solutions_of
 from rtkmesh_services.cli.lookahead import looking_ahead
+from rtkmesh_services.cli.recordings import faults, open_recordings
 from rtkmesh_services.cli.spool import Spool
 from rtkmesh_services.errors import SourceError
-from rtkmesh_services.ingest.recording import Recording, RecordingKind, open_recording
+from rtkmesh_services.ingest.recording import Recording, RecordingKind
 
 _WITHOUT_EPOCHS: Final = frozenset({RecordingKind.NAVIGATION, RecordingKind.NMEA})
 
@@ -114,26 +114,13 @@ class Tally:
 def open_inputs(rover: Path, base: Path | None, navigation: tuple[Path, ...], date: GpsTime | None) -> Inputs:
     """Return the opened recordings. An RTCM 3 log without ``date`` takes it from the other receiver's recording, if that has one."""
     paths = [rover, *([base] if base else []), *navigation]
-    receivers = paths[: 1 + bool(base)]
-    with ExitStack() as stack:
-        recordings: list[Recording] = []
-        for path in paths:
-            recordings.append(open_recording(path, date))
-            stack.callback(recordings[-1].close)
-            if path in receivers and recordings[-1].kind in _WITHOUT_EPOCHS:
-                raise SourceError(f"{path} has no observations: it holds {recordings[-1].kind.value}")
-        undated = {recording.path for recording in recordings if recording.kind is RecordingKind.RTCM3}
-        if date is None and undated:
-            date = next((time for path in paths if path not in undated and (time := _first_epoch(path)) is not None), None)
-            if date is None:
-                raise SourceError(f"{min(undated)}: an RTCM 3 log carries no date, and nothing else here does: say --date YYYY-MM-DD")
-            return open_inputs(rover, base, navigation, date)
-        stack.pop_all()
+    recordings = open_recordings(paths, date)
+    for recording in recordings[: 1 + bool(base)]:
+        if recording.kind in _WITHOUT_EPOCHS:
+            for other in recordings:
+                other.close()
+            raise SourceError(f"{recording.path} has no observations: it holds {recording.kind.value}")
     return Inputs(recordings[0], recordings[1] if base else None, tuple(recordings[1 + bool(base) :]))
-
-
-def _first_epoch(path: Path) -> GpsTime | None:
-    return next((message.time for message in open_recording(path).messages() if isinstance(message, Epoch)), None)
 
 
 def _nobody() -> None:
@@ -242,8 +229,7 @@ class Run:
 
     def faults(self) -> dict[str, dict[str, int]]:
         """Return per file what was rejected while reading it, by reason."""
-        rejected = {recording.path.name: dict(recording.decoding.rejected) for recording in self.inputs.all()}
-        return {name: counts for name, counts in rejected.items() if counts}
+        return faults(self.inputs.all())
 
 
 def _merged(inputs: Inputs) -> Iterator[tuple[Source, Message | EndOfStream]]:

@@ -20,7 +20,6 @@ from rtkmesh_services.errors import SourceError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rtkmesh.gnss.time import GpsTime
     from rtkmesh.rtk.solution import Solution
     from rtkmesh_services.cli.offline import Run
 
@@ -129,12 +128,13 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     if table.mode == "fixed" and table.fixed_position_ecef_m is None:
         raise SourceError("mode 'fixed' needs the rover's position: fixed_position_ecef_m in the [solver] table of a --config file")
     position = _base_position(request)
-    date = _date(request.date) if request.date else None
 
     from rtkmesh_services.cli.offline import Run, SolutionType, open_inputs
+    from rtkmesh_services.cli.recordings import day_of
     from rtkmesh_services.cli.solve_display import ProgressBar, report
     from rtkmesh_services.mapping.options import session_options
 
+    date = day_of(request.date) if request.date else None
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date)
     options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
     run = Run(inputs, options, SolutionType(request.direction), causal=request.causal)
@@ -222,17 +222,6 @@ def _three_numbers(flag: str, text: str) -> Position:
     except ValueError:
         raise SourceError(f"{flag}={text} is not three numbers with commas between") from None
     return a, b, c
-
-
-def _date(text: str) -> "GpsTime":
-    """Return noon of a day, the middle of what a log of that day can begin at."""
-    from rtkmesh.gnss.time import GpsTime
-
-    try:
-        year, month, day = (int(part) for part in text.split("-"))
-        return GpsTime.from_calendar(year, month, day, 12)
-    except ValueError:
-        raise SourceError(f"--date {text} is no day YYYY-MM-DD") from None
 
 
 def _output(request: Request) -> AbstractContextManager[TextIO | None]:

@@ -6,11 +6,12 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress
 from rich.table import Table
 
 from rtkmesh.rtk.solution import Reason, Status
 from rtkmesh_services.cli.offline import Run, SolutionType
+from rtkmesh_services.cli.progress import bar
 
 _DRAW_EVERY: Final = 50  # epochs
 _HINTS: Final = {
@@ -27,8 +28,7 @@ class ProgressBar:
         run.watch = self.advance
         self._progress: Progress | None = None
         if shown:
-            columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-            self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._progress = bar()
 
     def __enter__(self) -> Self:
         if self._progress is not None:

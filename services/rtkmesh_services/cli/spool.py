@@ -1,4 +1,4 @@
-"""Values of a long run, kept in a temporary file and given back from the last to the first: a day of epochs needs no memory."""
+"""Values of a long run, kept in a temporary file and given back in either direction: a day of epochs needs no memory."""
 
 import pickle
 import zlib
@@ -18,7 +18,7 @@ _FAST: Final = 1  # of zlib's levels: epochs shrink to a third
 
 @dataclass(slots=True)
 class Spool(Generic[T]):
-    """A stack of values that can be pickled; its file goes when it is closed. What values of one block share is still one object."""
+    """Values that can be pickled; its file goes when it is closed. What values of one block share is still one object."""
 
     _file: IO[bytes] = field(default_factory=TemporaryFile)
     _blocks: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])  # place in the file and length (bytes)
@@ -28,6 +28,10 @@ class Spool(Generic[T]):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the file back."""
         self._file.close()
 
     def __len__(self) -> int:
@@ -53,10 +57,19 @@ class Spool(Generic[T]):
         self._blocks.append((place, len(block)))
         self._newest = []
 
+    def forward(self) -> Iterator[T]:
+        """Yield the values, the first one first."""
+        for place, length in self._blocks:
+            yield from self._block(place, length)
+        yield from self._newest
+
     def backward(self) -> Iterator[T]:
         """Yield the values, the last one first."""
         yield from reversed(self._newest)
         for place, length in reversed(self._blocks):
-            self._file.seek(place)
-            block: list[T] = pickle.loads(zlib.decompress(self._file.read(length)))  # noqa: S301  what this object wrote itself
-            yield from reversed(block)
+            yield from reversed(self._block(place, length))
+
+    def _block(self, place: int, length: int) -> list[T]:
+        self._file.seek(place)
+        block: list[T] = pickle.loads(zlib.decompress(self._file.read(length)))  # noqa: S301  what this object wrote itself
+        return block

@@ -9,11 +9,12 @@ from math import isfinite
 from typing import Final
 
 from rtkmesh_services.errors import RefusedError, SourceError
+from rtkmesh_services.ingest.gga import gga_sentence
 from rtkmesh_services.ingest.urls import SourceUrl, wants_nearest
 from rtkmesh_services.ingest.wires import POLL_S, ReopenError, SilentError, Wire
 from rtkmesh_services.ntrip.address import CasterAddress
 from rtkmesh_services.ntrip.connection import AnswerError, CasterConnection, TlsOptions, fetch_table, open_stream
-from rtkmesh_services.ntrip.gga import Place, gga_sentence
+from rtkmesh_services.ntrip.place import Place
 from rtkmesh_services.ntrip.source_table import MountPoint, nearest_mount
 from rtkmesh_services.runtime.backoff import CASTER, Backoff
 

@@ -34,7 +34,7 @@ from rtkmesh_services.ingest.stream import StreamPublisher
 from rtkmesh_services.ingest.urls import SourceUrl, parse_source, wants_nearest
 from rtkmesh_services.ingest.warming import warm_decoder
 from rtkmesh_services.mapping.position import known_position
-from rtkmesh_services.ntrip.gga import Place
+from rtkmesh_services.ntrip.place import Place
 from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done
 from rtkmesh_services.runtime.statistics import RollingQuantiles
@@ -135,6 +135,7 @@ class IngestService(Service):
                 "link_errors": self._errors,
                 "writes": self._writes,
                 "writes_lost": self._writes_lost,
+                **self._publisher.made.counters(),
             },
             latencies={"decode": self._decode_ms},
             last_epoch=None if newest is None else (newest.time.week, newest.time.tow_s),

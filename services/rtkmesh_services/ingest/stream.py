@@ -1,6 +1,5 @@
 """What an ingest publishes: its stream's messages, numbered in stream order, and the raw frames."""
 
-import struct
 from collections import Counter
 from dataclasses import replace
 from typing import Any
@@ -15,12 +14,12 @@ from rtkmesh.gnss.signals import satellite_id
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.keys import END, EPH, IONO, OBS, RAW, REF
 from rtkmesh_schemas.observation import EndOfStream, EphemerisMessage, IonosphereMessage, ReferenceMessage
+from rtkmesh_services.ingest.made import ATTACHMENT, FrameMakers
 from rtkmesh_services.mapping.navigation import orbit_of, wire_time
 from rtkmesh_services.mapping.observation import observation_of
 from rtkmesh_services.runtime.service import Context
 
 Position = tuple[float, float, float]
-_ATTACHMENT = struct.Struct("<QqQ")  # sequence of the frame, UTC ns, monotonic ns of reading
 
 
 def is_numbered(message: Message) -> bool:
@@ -47,19 +46,21 @@ class StreamPublisher:
         self._station = ReferenceStation(station_id=0, position_ecef_m=known, source="configuration" if known else "")
         self._bias: GlonassBias | None = None
         self._slipped = False
+        self.made = FrameMakers(context)
 
     def open(self) -> None:
         """Publish what is known before the first byte: a configured antenna position. Learn who listens to raw frames."""
         if self._raw:
             for protocol in FRAMED:
                 self._bus.matched(RAW, protocol=protocol.value)
+        self.made.open()
         if self._known is not None:
             self._reference()
 
     def frame(self, frame: Frame, mono_ns: int) -> None:
         """Publish a raw frame when somebody listens."""
         if self._raw and self._bus.matched(RAW, protocol=frame.protocol.value):
-            attachment = _ATTACHMENT.pack(self._frames, self._context.clock.utc_ns(), mono_ns)
+            attachment = ATTACHMENT.pack(self._frames, self._context.clock.utc_ns(), mono_ns)
             self._bus.publish(RAW, frame.data, attachment=attachment, protocol=frame.protocol.value)
         self._frames += 1
 
@@ -70,6 +71,7 @@ class StreamPublisher:
         elif isinstance(message, KeplerEphemeris | GlonassEphemeris):
             name = satellite_id(message.satellite)
             self._bus.publish(EPH, EphemerisMessage(orbit=orbit_of(message), **self._next("eph")), satellite=name)
+            self.made.take(message, mono_ns)
         elif isinstance(message, KlobucharParameters):
             parameters = {"system": message.system, "alpha": message.alpha, "beta": message.beta}
             self._bus.publish(IONO, IonosphereMessage(**parameters, **self._next("iono")))
@@ -102,6 +104,7 @@ class StreamPublisher:
         self._bus.publish(OBS, observation_of(epoch, mono_ns=mono_ns, utc_ns=utc_ns, **self._number("obs")))
         if self.newest is None or epoch.time > self.newest.time:
             self.newest = epoch
+        self.made.take(epoch, mono_ns)
 
     def _stand(self, station: ReferenceStation) -> None:
         known = self._known is not None
@@ -123,6 +126,7 @@ class StreamPublisher:
             **self._next("ref"),
         )
         self._bus.publish(REF, message)
+        self.made.antenna(station, self._bias)
 
     def _next(self, kind: str) -> dict[str, Any]:
         """Return the identity of the next message between epochs: its number, and the epoch that it follows."""

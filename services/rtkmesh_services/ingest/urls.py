@@ -11,7 +11,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from rtkmesh_schemas.keys import ID, RESERVED_IDS
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ntrip.address import NTRIP_SCHEMES, CasterAddress, parse_caster, shown_url
-from rtkmesh_services.ntrip.gga import Place
+from rtkmesh_services.ntrip.place import Place
 
 _NTRIP: Final = {
     "version": "auto (2, and 1 where that fails), 1 or 2",

@@ -1,11 +1,11 @@
-"""Outputs of receivers' whole frames as they came: to files and sockets, to a caster's mount point, to the clients of our own caster."""
+"""Outputs of receivers' whole frames, as they came or made anew: to files and sockets, to a caster, to the clients of our own caster."""
 
 from math import atan2, degrees, hypot
 from typing import Any, ClassVar, Final, Protocol
 
 from rtkmesh_schemas.config import OutputTable
 from rtkmesh_schemas.errors import DecodeError, VersionError
-from rtkmesh_schemas.keys import RAW, REF, Role
+from rtkmesh_schemas.keys import MADE, RAW, REF, Role
 from rtkmesh_schemas.observation import ReferenceMessage
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
@@ -218,9 +218,8 @@ class FrameOutputService(Service):
         """Open the target and subscribe to the receivers."""
         self._sink = sink_of(self._table)
         self._sink.tick(self.context.clock.mono_ns())
-        protocol = "*" if self._table.protocol == "all" else self._table.protocol
         for receiver in {self._table.receiver, *self._table.mounts.values()} - {""}:
-            self.context.subscribe(RAW.key(receiver, protocol=protocol), lane="raw")
+            self.context.subscribe(self._key(receiver), lane="raw")
             self.context.subscribe(REF.key(receiver), lane="ref", history=True)
 
     def handle(self, item: Any) -> None:
@@ -228,7 +227,7 @@ class FrameOutputService(Service):
         if not isinstance(item, Sample) or self._sink is None:
             return
         _, receiver, kind, *_ = item.key.split("/")
-        if kind == "raw":
+        if kind in ("raw", "made"):
             self._frames += 1
             if self._messages and message_number(item.payload) not in self._messages:
                 self._left_out += 1
@@ -261,6 +260,12 @@ class FrameOutputService(Service):
         """Close the target."""
         if self._sink is not None:
             self._sink.close()
+
+    def _key(self, receiver: str) -> str:
+        """Return where a receiver's frames come from: as they came, or made for this output."""
+        if self._table.encode:
+            return MADE.key(receiver, output=self.context.id)
+        return RAW.key(receiver, protocol="*" if self._table.protocol == "all" else self._table.protocol)
 
 
 def sink_of(table: OutputTable) -> FrameSink:

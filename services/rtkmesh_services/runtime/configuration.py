@@ -354,6 +354,9 @@ def _check_output(reader: _Reader, id: str, output: OutputTable) -> None:  # noq
         has = f"has {' and '.join(repr(name) for name in given)}" if given else "says nothing"
         reader.fault(("output", id), f"[output.{id}] {has} where it needs {wanted}: what is to be sent")
         return
+    if output.encode and (output.solver or output.protocol != "rtcm3"):
+        what = "a solver's lines" if output.solver else f'protocol = "{output.protocol}"'
+        reader.fault(("output", id, "encode"), f"[output.{id}] encode makes RTCM 3 of a receiver's stream, and this is {what}")
     if output.solver:
         _check_reference(reader, "solver", output.solver, ("output", id, "solver"))
     if output.receiver:

@@ -1,0 +1,68 @@
+"""A raw u-blox, our caster that serves MSM4 made of it, and a rover that comes to a fix through it, as processes."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from tests.e2e.conftest import Deployment
+
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh.simulation.scenario import truth
+from rtkmesh_schemas.keys import SOL, STATUS
+from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_schemas.status import ServiceStatus
+from rtkmesh_schemas.wire import decode
+
+pytestmark = pytest.mark.e2e
+FIX = 1
+TEXT = """
+[ingest.rover]
+source = "sim://static/rover"
+[ingest.roof]
+source = "sim://static/heading"
+position_ecef_m = [{x}, {y}, {z}]
+[output.caster]
+target = "ntrip-caster://127.0.0.1:{port}"
+mounts = {{ ROOF = "roof" }}
+encode = "msm4"
+station_id = 7
+station_interval_s = 2.0
+bytes_per_second = 3000.0
+[ingest.base]
+source = "ntrip://127.0.0.1:{port}/ROOF"
+[solver.rtk]
+rover = "rover"
+base = "base"
+navigation = ["rover"]
+"""
+
+
+@pytest.mark.slow
+def test_a_rover_fixes_by_the_frames_that_were_made_of_raw_data(up: Callable[..., Deployment], free: int) -> None:
+    """The fixes are right, the base knows its position and equipment from the stream, the ingest of the roof says what it made."""
+    antennas = truth("static", seed=1)(GpsTime(2400, 0.0)).antennas_ecef_m
+    x, y, z = antennas["heading"].tolist()
+    deployment = up(TEXT.format(port=free, x=x, y=y, z=z))
+    deployment.until(deployment.all_running, 280.0)  # the first time the kernels are compiled
+    fixed: list[SolutionMessage] = []
+    statuses: dict[str, ServiceStatus] = {}
+
+    def take_status(sample: object) -> None:
+        status = decode(ServiceStatus, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
+        statuses[status.id] = status
+
+    def take_solution(sample: object) -> None:
+        message = decode(SolutionMessage, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
+        if message.status == FIX:
+            fixed.append(message)
+
+    deployment.bus.subscribe(STATUS.key("*"), take_status, history=True)
+    deployment.bus.subscribe(SOL.key("rtk"), take_solution)
+    deployment.until(lambda: len(fixed) >= 10, 60.0)
+    deployment.until(lambda: {"roof", "base"} <= set(statuses) and statuses["roof"].counters.get("made_caster_epochs", 0) > 5, 10.0)
+    for solution in fixed:
+        assert np.linalg.norm(np.subtract(solution.position_ecef_m, antennas["rover"])) < 0.05
+    heard = statuses["base"].inputs[0].counters
+    assert {"rtcm3/1006", "rtcm3/1008", "rtcm3/1033", "rtcm3/1074", "rtcm3/1094", "rtcm3/1019"} <= set(heard)
+    assert not {name for name in heard if name.startswith("rtcm3/107") and name != "rtcm3/1074"}
+    assert deployment.interrupt() == 0
