@@ -8,17 +8,20 @@ from itertools import count, islice
 from typing import Final
 
 import numpy as np
+from tests.fuzz import receiver_frames as own
 from tests.fuzz.bodies import BINARY, Bytes, bodies
 from tests.fuzz.harness import Reader, Target
 
 from rtkmesh.codecs import rtcm3_encode, ubx_encode
 from rtkmesh.codecs.framing import NMEA_MAX_LENGTH, Framer
-from rtkmesh.codecs.messages import DecodingCounters, Frame, Protocol
+from rtkmesh.codecs.messages import Decoder, DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS
+from rtkmesh.codecs.sbf import SbfDecoder
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx import UbxDecoder
+from rtkmesh.codecs.unicore import UnicoreDecoder
 from rtkmesh.gnss.ephemeris import ReferenceStation
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.scenario import open_stream
@@ -48,6 +51,12 @@ def streams() -> dict[Protocol, bytes]:
         for antenna in ("rover", "base")
     }
     return {Protocol.UBX: sent["rover"], Protocol.RTCM3: sent["base"]}
+
+
+@cache
+def messages() -> list[Message]:
+    """Return what the simulated rover's stream says."""
+    return [message for _, found in StreamDecoder(StreamOptions(approximate_time=START)).feed(streams()[Protocol.UBX]) for message in found]
 
 
 def frames_of(data: bytes) -> list[Frame]:
@@ -86,7 +95,7 @@ class Framed:
     pool: Callable[[], Sequence[bytes]]
     heads: Sequence[bytes]
     longest: int
-    decoder: Callable[[GpsTime | None], UbxDecoder | Rtcm3Decoder | NmeaDecoder]
+    decoder: Callable[[GpsTime | None], Decoder]
     share: float
     alphabet: Bytes
 
@@ -116,7 +125,7 @@ class Framed:
         return Reader(feed, end)
 
 
-def flushed(decoder: UbxDecoder | Rtcm3Decoder | NmeaDecoder) -> DecodingCounters:
+def flushed(decoder: Decoder) -> DecodingCounters:
     """End a decoder's stream and return its counters."""
     if isinstance(decoder, Rtcm3Decoder):
         decoder.flush()
@@ -132,15 +141,24 @@ def _add(total: DecodingCounters, more: DecodingCounters) -> None:
 PROTOCOLS: Final = (
     Framed(
         Protocol.UBX, lambda body: ubx_encode.frame(body[0], body[1], body[2:]), _ubx_pool, [bytes.fromhex(head) for head in _UBX],
-        2000, UbxDecoder, 0.28, BINARY,
+        2000, UbxDecoder, 0.25, BINARY,
     ),
     Framed(
         Protocol.RTCM3, rtcm3_encode.frame, _rtcm3_pool, [struct.pack(">H", number << 4) for number in _RTCM3],
-        1023, Rtcm3Decoder, 0.28, BINARY,
+        1023, Rtcm3Decoder, 0.2, BINARY,
     ),
     Framed(
         Protocol.NMEA, seal_nmea, lambda: _NMEA_SEEDS, [seed[:6] for seed in _NMEA_SEEDS],
-        NMEA_MAX_LENGTH - 8, NmeaDecoder, 0.135, _NMEA_ALPHABET,
+        NMEA_MAX_LENGTH - 8, NmeaDecoder, 0.1, _NMEA_ALPHABET,
+    ),
+    Framed(Protocol.SBF, own.seal_sbf, lambda: own.sbf_pool(messages(), START), own.SBF_HEADS, 4000, SbfDecoder, 0.12, BINARY),
+    Framed(
+        Protocol.UNICORE, own.seal_unicore, lambda: own.unicore_pool(messages(), START), own.UNICORE_HEADS,
+        4000, lambda _: UnicoreDecoder(), 0.1, BINARY,
+    ),
+    Framed(
+        Protocol.NOVATEL, own.seal_ascii, lambda: own.ascii_pool(messages(), START), [b"OBSVMA,", b"GPSEPHA", b"BESTNAV", b"OBSVMCM"],
+        4000, lambda _: UnicoreDecoder(), 0.05, _NMEA_ALPHABET,
     ),
 )  # fmt: skip
 
@@ -165,5 +183,5 @@ def _stream_reader() -> Reader:
 
 def targets() -> list[Target]:
     """Return the targets of frames; counters of each must account for every frame."""
-    own = [Target(framed.protocol.value, framed.frames, framed.reader, framed.share) for framed in PROTOCOLS]
-    return [*own, Target("stream", mixed, _stream_reader, 0.15)]
+    each = [Target(framed.protocol.value, framed.frames, framed.reader, framed.share) for framed in PROTOCOLS]
+    return [*each, Target("stream", mixed, _stream_reader, 0.12)]

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from math import cos, hypot, nan, pi, radians, sin
 from typing import Final
 
-from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
+from rtkmesh.codecs.messages import DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.nmea_fields import degrees, number, time_of_day_s
 from rtkmesh.codecs.nmea_satellites import SatelliteGatherer
 from rtkmesh.codecs.utc import from_utc, gps_day, microseconds
@@ -23,7 +23,6 @@ _ANSWER: Final = "command"
 _DAY_US: Final = 86_400_000_000
 _MPS_PER_KNOT: Final = 1852.0 / 3600.0
 _MAX_ADDRESS: Final = 8
-_MAX_KINDS: Final = 1000  # sentences with a counter of their own
 
 
 class NmeaDecoder:
@@ -51,8 +50,7 @@ class NmeaDecoder:
             return self._answer(frame)
         reader = self._readers.get(frame.kind[-3:])
         if reader is None or len(frame.kind) > _MAX_ADDRESS:
-            known = len(self.counters.ignored) < _MAX_KINDS
-            self.counters.ignored[f"nmea/{frame.kind}" if known else "nmea/other"] += 1
+            self.counters.ignore(Protocol.NMEA, frame.kind)
             return []
         found = reader(frame.kind[:-3], frame.data[1 : frame.data.rfind(b"*")].decode("ascii", "replace").split(","))
         if found is False:

@@ -73,7 +73,7 @@ class Rtcm3Decoder:
         number = payload[0] << 4 | payload[1] >> 4
         kind = f"rtcm3/{number}"
         if self._is_of_another_station(payload, number):
-            self.counters.ignored[f"{kind} of another station"] += 1
+            self.counters.ignore(Protocol.RTCM3, f"{number} of another station")
             return []
         if number in OBSERVATIONS:
             if self._gatherer.clock is None:

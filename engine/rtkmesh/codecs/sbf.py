@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.codecs import sbf_ephemerides, sbf_navigation
-from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
+from rtkmesh.codecs.messages import DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.navigation import NavigationDecoder
 from rtkmesh.codecs.navigation_words import Refusal
 from rtkmesh.codecs.sbf_observations import HEAD, ROW, SCRAMBLED, add_extra, epoch_columns, new_slip_state, read_signals
@@ -77,7 +77,7 @@ class SbfDecoder:
     def _count(self, kind: str, found: list[Message] | str | None) -> list[Message]:
         """Count a block: decoded, rejected (a reason) or ignored (None)."""
         if found is None:
-            self.counters.ignored[f"sbf/{kind}"] += 1
+            self.counters.ignore(Protocol.SBF, kind)
         elif isinstance(found, str):
             self.counters.rejected[f"sbf/{kind} {found}"] += 1
         else:

@@ -65,7 +65,6 @@ _NEW_TIMELINE: Final = 5  # so many rising epochs in the past mean that the cloc
 _TO_PREFERRED: Final = 3  # epochs of a raw protocol after which it is taken instead of RTCM 3
 _TO_OTHER: Final = 30  # epochs of another protocol without one of the chosen one between after which that counts as gone
 _TELL_TIME_S: Final = 3600.0
-_MAX_KINDS: Final = 1000  # kinds of frames that nobody decodes with a counter of their own
 _KIND: Final = attrgetter("kind")
 _OF_SEVERAL_ANTENNAS: Final = (Protocol.UNICORE, Protocol.SBF)
 _OTHER_SOURCE: Final = "of the other source"
@@ -203,7 +202,7 @@ class StreamDecoder:
     def _decode(self, frame: Frame) -> list[Message]:
         decoder = self._decoders.get(frame.protocol)
         if decoder is None:
-            self._dropped.ignored[f"{frame.protocol}/{frame.kind}" if len(self._dropped.ignored) < _MAX_KINDS else "other"] += 1
+            self._dropped.ignore(frame.protocol, frame.kind)
             return []
         messages = decoder.decode(frame)
         return self._pass_on(messages, frame.protocol) if messages else messages

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from rtkmesh.codecs.messages import DecodingCounters, Frame, Message
+from rtkmesh.codecs.messages import DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.unicore_ephemeris import READERS, read_ephemeris
 from rtkmesh.codecs.unicore_logs import POSITION_TYPE, SOLUTION_STATUS, Fields, Log, Value, open_log
 from rtkmesh.codecs.unicore_observations import (
@@ -65,20 +65,17 @@ class UnicoreDecoder:
         label = f"unicore/{frame.kind}"
         log = open_log(frame)
         if log is None:  # a reply to a command
-            self._ignore(label)
+            self.counters.ignore(Protocol.UNICORE, frame.kind)
             return []
         found = self._read(log)
         if found is None:
-            self._ignore(label)
+            self.counters.ignore(Protocol.UNICORE, frame.kind)
             return []
         if isinstance(found, str):
             self.counters.rejected[f"{label} {found}"] += 1
             return []
         self.counters.decoded[label] += 1
         return found
-
-    def _ignore(self, label: str) -> None:
-        self.counters.ignored[label if len(self.counters.ignored) < _MAX_KINDS else "unicore/other"] += 1
 
     def _read(self, log: Log) -> Found | None:
         """Return what a log says, why it is rejected, or None where it is of no use here."""
@@ -105,9 +102,6 @@ class UnicoreDecoder:
             self.counters.rejected[f"unicore/{log.name} unknown signal"] += len(measurements.numbers) - len(epoch)
         self.counters.epochs += 1
         return [epoch]
-
-
-_MAX_KINDS: Final = 1000  # logs with a counter of their own
 
 
 def measurements_of(body: bytes | list[str]) -> Measurements | None:
