@@ -56,6 +56,7 @@ BENCHMARKS = (
     Benchmark("integrity", "integrity.py", "Fix probabilities and protection levels against errors", ("--quick",)),
     Benchmark("endurance", "endurance.py", "A million updates of one filter", ("--quick",), recordings=False),
     Benchmark("decode", "decode_speed.py", "Decoders beside pyubx2 and pyrtcm", modules=("pyubx2", "pyrtcm")),
+    Benchmark("ingest", "ingest_load.py", "Four receivers at 20 Hz: what decoding and publishing cost", ("--quick",)),
     Benchmark("engine", "engine_speed.py", "The engine's steps"),
     Benchmark("ntrip", "ntrip.py", "NTRIP client and caster beside str2str", ("--quick",), recordings=False),
     Benchmark("realtime", "realtime.py", "A running deployment beside rtkrcv", ("--only", "base 60 ms late,cold start", "--seconds", "8")),
