@@ -1,17 +1,16 @@
-"""How fast the decoders are, beside pyubx2 and pyrtcm on the same bytes.
+"""How fast the decoders are, beside pyubx2, pyrtcm, pysbf2, pynmeagps and convbin on the same bytes.
 
-Usage: python benchmarks/decode_speed.py [--data FOLDER]   (default: RTKMESH_DATA or ../shared/data)
+Usage: python benchmarks/decode_speed.py [--data FOLDER] [--quick]   (default: RTKMESH_DATA or ../shared/data)
 
 Times are processor time of this process. Each case runs our code several times and takes the best (the machine may be shared); MB/s are
 of the bytes of the frames decoded. Streams are fed in the pieces that the ingest reads. The Python oracle runs once on the first part of
 the file, because it takes milliseconds per message. The second table is what a solver waits for: a decoder that has run from the
 beginning of the recording gets one epoch's bytes at once, up to the message that ends the epoch, and the time from there to the epoch is
-taken, for every epoch of the recording; of several runs each epoch's best counts. Tables go to standard output.
+taken, for every epoch of the recording; of several runs each epoch's best counts. The third table is the ingest's path on whole
+recordings (`whole_recordings.py`). Tables go to standard output.
 """
 
 import argparse
-import gzip
-import io
 import os
 import sys
 import time
@@ -20,22 +19,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pyrtcm import RTCMReader
-from pyubx2 import ERR_IGNORE, UBX_PROTOCOL, UBXReader
+from pysbf2 import SBFReader
+from pyubx2 import UBXReader
 
+import kernel_cache  # noqa: F401  first of all
+from load_streams import decoded
 from rtkmesh.codecs.framing import Framer
 from rtkmesh.codecs.messages import Frame, Protocol
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.rtcm3_encode import encode_epoch
+from rtkmesh.codecs.sbf import SbfDecoder
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx import RAWX, SFRBX, UbxDecoder
+from rtkmesh.codecs.unicore import UnicoreDecoder
+from rtkmesh.codecs.unicore_encode import encode_compressed, encode_observations, encode_observations_ascii
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
-
-REPEATS = 7
-ORACLE_BYTES = 300_000  # so much of a file is enough for a figure of the oracle
-
-
-PIECE = 1 << 16  # what the ingest reads at once
+from whole_recordings import COLUMNS, MADE_EPOCHS, RECORDINGS, Effort, aligned, as_septentrio, as_unicore, best_s, contents, pieces
+from whole_recordings import line as recording_line
 
 Run = tuple[Callable[[], int], int]  # returns the number of messages; the bytes that it decodes
 
@@ -58,23 +59,10 @@ class LiveCase:
     file: str
 
 
-def pieces(data: bytes) -> list[bytes]:
-    return [data[at : at + PIECE] for at in range(0, len(data), PIECE)]
-
-
 def framing(data: bytes) -> Run:
     def run() -> int:
         framer = Framer()
         return sum(len(framer.feed(piece)) for piece in parts)
-
-    parts = pieces(data)
-    return run, len(data)
-
-
-def stream(data: bytes) -> Run:
-    def run() -> int:
-        decoder = StreamDecoder(StreamOptions(approximate_time=RTCM_DATE))
-        return sum(len(decoder.feed(piece)) for piece in parts)
 
     parts = pieces(data)
     return run, len(data)
@@ -123,6 +111,47 @@ def rtcm_encoding(data: bytes) -> Run:
     return lambda: sum(len(encode_epoch(epoch, 0)) for epoch in epochs), size
 
 
+def sbf_blocks(data: bytes) -> list[Frame]:
+    return [frame for frame in Framer([Protocol.SBF]).feed(as_septentrio(data)) if frame.kind in SBF_MEASUREMENTS]
+
+
+def sbf_measurements(data: bytes) -> Run:
+    """MeasEpoch with its MeasExtra, which together give an epoch."""
+    frames = sbf_blocks(data)
+
+    def run() -> int:
+        decoder = SbfDecoder(RTCM_DATE)
+        for frame in frames:
+            decoder.decode(frame)
+        return len(frames)
+
+    return run, sum(len(frame.data) for frame in frames)
+
+
+def pysbf2_measurements(data: bytes) -> int:
+    frames = sbf_blocks(data)[:SBF_ORACLE]
+    for frame in frames:
+        SBFReader.parse(frame.data)
+    return len(frames)
+
+
+def unicore_logs(encode: Callable[[Epoch], bytes]) -> Callable[[bytes], Run]:
+    """Decode a kind of observation log."""
+
+    def prepare(data: bytes) -> Run:
+        frames = Framer([Protocol.UNICORE]).feed(b"".join(encode(epoch) for epoch in decoded(data)[0][:MADE_EPOCHS]))
+
+        def run() -> int:
+            decoder = UnicoreDecoder()
+            for frame in frames:
+                decoder.decode(frame)
+            return len(frames)
+
+        return run, sum(len(frame.data) for frame in frames)
+
+    return prepare
+
+
 def pyrtcm_messages(*kinds: str) -> Callable[[bytes], int]:
     def run(data: bytes) -> int:
         frames = [frame.data for frame in Framer([Protocol.RTCM3]).feed(data) if frame.kind in kinds]
@@ -131,11 +160,6 @@ def pyrtcm_messages(*kinds: str) -> Callable[[bytes], int]:
         return len(frames)
 
     return run
-
-
-def pyubx2_reader(data: bytes) -> int:
-    reader = UBXReader(io.BytesIO(data), protfilter=UBX_PROTOCOL, quitonerror=ERR_IGNORE)
-    return sum(1 for _ in reader)
 
 
 def pyubx2_messages(kind: str) -> Callable[[bytes], int]:
@@ -152,6 +176,8 @@ WALK, ROVER, BASE = "dec_ubx/gnss_imu_walk_1730.ubx", "umea_f9p/R001.ubx", "umea
 MSM7_FILE, MSM4_FILE = "stromlo_rtcm/week-rollover-STR17.rtcm3", "stromlo_rtcm/week-rollover-STR24.rtcm3"
 MSM7 = tuple(f"{group}7" for group in (107, 108, 109, 111, 112))
 MSM4 = tuple(f"{group}4" for group in (107, 108, 109, 111, 112))
+SBF_MEASUREMENTS = ("4027", "4000")
+SBF_ORACLE = 60  # blocks
 EPHEMERIDES = ("1019", "1020", "1042", "1044", "1045", "1046")
 CASES = [
     Case("RXM-RAWX, 71 signals", WALK, ubx_messages(RAWX), pyubx2_messages(RAWX)),
@@ -161,17 +187,18 @@ CASES = [
     Case("framing, UBX with 91 % SFRBX", BASE, framing),
     Case("framing, UBX + NMEA", "dec_gpsd/ublox-zed-f9p_hpg1.11.log", framing),
     Case("framing, UBX + RTCM 3 damaged", "galway_m8p/base-20181004-1452.ubx.gz", framing),
-    Case("stream, UBX RAWX", ROVER, stream, pyubx2_reader),
-    Case("stream, UBX RAWX + SFRBX", BASE, stream, pyubx2_reader),
-    Case("stream, UBX + NMEA", WALK, stream, pyubx2_reader),
     Case("MSM7, GPS alone", MSM7_FILE, rtcm_messages("1077"), pyrtcm_messages("1077")),
     Case("MSM7, 5 systems", MSM7_FILE, rtcm_messages(*MSM7), pyrtcm_messages(*MSM7)),
     Case("MSM4, 5 systems", MSM4_FILE, rtcm_messages(*MSM4), pyrtcm_messages(*MSM4)),
     Case("1004 and 1012", "dec_rtcm3/1012_first.rtcm", rtcm_messages("1004", "1012"), pyrtcm_messages("1004", "1012")),
     Case("RTCM ephemerides", "dec_rtcm3/eph.rtcm", rtcm_messages(*EPHEMERIDES), pyrtcm_messages(*EPHEMERIDES)),
+    Case("SBF MeasEpoch and MeasExtra", MSM7_FILE, sbf_measurements, pysbf2_measurements),
+    Case("Unicore OBSVMB", MSM7_FILE, unicore_logs(encode_observations)),
+    Case("Unicore OBSVMCMPB", MSM7_FILE, unicore_logs(encode_compressed)),
+    Case("Unicore OBSVMA", MSM7_FILE, unicore_logs(encode_observations_ascii)),
     Case("framing, RTCM 3", MSM7_FILE, framing),
-    Case("stream, RTCM 3 MSM7", MSM7_FILE, stream),
-    Case("stream, RTCM 3 ephemerides", "dec_rtcm3/eph.rtcm", stream),
+    Case("framing, SBF", MSM7_FILE, lambda data: framing(as_septentrio(data))),
+    Case("framing, Unicore", MSM7_FILE, lambda data: framing(as_unicore(data))),
     Case("encoding MSM7", MSM7_FILE, rtcm_encoding),
 ]
 LIVE_CASES = [
@@ -183,29 +210,15 @@ LIVE_CASES = [
 ]
 
 
-def contents(path: Path) -> bytes:
-    return gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-
-
-def best_s(run: Callable[[], int]) -> tuple[float, int]:
-    run()  # compiled and warm
-    best, count = float("inf"), 0
-    for _ in range(REPEATS):
-        start = time.process_time()
-        count = run()
-        best = min(best, time.process_time() - start)
-    return best, count
-
-
-def line(case: Case, folder: Path) -> str:
+def line(case: Case, folder: Path, effort: Effort) -> str:
     data = contents(folder / case.file)
     run, size = case.prepare(data)
-    seconds, count = best_s(run)
+    seconds, count = best_s(run, effort.repeats)
     ours_us = seconds / count * 1e6
     text = f"{case.name:32} {count:7d} {ours_us:10.2f} {size / seconds / 1e6:9.1f}"
     if case.oracle is None:
         return text
-    part = data[:ORACLE_BYTES]
+    part = data[: effort.peer_bytes]
     start = time.process_time()
     oracle_count = case.oracle(part)
     oracle_us = (time.process_time() - start) / oracle_count * 1e6
@@ -223,10 +236,10 @@ def epoch_pieces(data: bytes) -> list[bytes]:
     return found
 
 
-def live_line(case: LiveCase, folder: Path) -> str:
+def live_line(case: LiveCase, folder: Path, effort: Effort) -> str:
     parts = epoch_pieces(contents(folder / case.file))
     best_ns = [2**62] * len(parts)
-    for _ in range(REPEATS):
+    for _ in range(effort.repeats):
         decoder = StreamDecoder(StreamOptions(approximate_time=RTCM_DATE))
         for k, piece in enumerate(parts):
             start = time.perf_counter_ns()
@@ -242,16 +255,22 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     default = os.environ.get("RTKMESH_DATA") or str(Path(__file__).resolve().parents[2] / "shared" / "data")
     parser.add_argument("--data", type=Path, default=Path(default))
-    folder: Path = parser.parse_args().data
+    parser.add_argument("--quick", action="store_true", help="less often, and less for the oracles")
+    options = parser.parse_args()
+    folder: Path = options.data
+    effort = Effort(2, 60_000) if options.quick else Effort()
     if not folder.is_dir():
         print(f"{folder}: no such folder; give --data or set RTKMESH_DATA", file=sys.stderr)
         return 2
     print(f"{'case':32} {'msgs':>7} {'us/msg':>10} {'MB/s':>9} {'oracle us':>10} {'factor':>8}")
     for case in CASES:
-        print(line(case, folder), flush=True)
+        print(line(case, folder, effort), flush=True)
     print(f"\n{'bytes in to epoch out':40} {'epochs':>7} {'bytes':>8} {'p50 us':>10} {'p99 us':>10}")
     for live in LIVE_CASES:
-        print(live_line(live, folder), flush=True)
+        print(live_line(live, folder, effort), flush=True)
+    print(f"\n{aligned(COLUMNS)}")
+    for recording in RECORDINGS:
+        print(recording_line(recording, folder, effort), flush=True)
     return 0
 
 

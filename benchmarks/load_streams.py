@@ -66,8 +66,8 @@ def receivers(data: Path, rate: int, count: int) -> list[Receiver]:
     made = {
         "ubx": ubx_parts((data / UBX_FILE).read_bytes(), count),
         "rtcm3": rtcm3_parts(rtcm3),
-        "sbf": Parts([(epoch.time.tow_s, _septentrio(epoch)) for epoch in islice(epochs, count)], [_raw_blocks(e) for e in ephemerides]),
-        "unicore": Parts([(epoch.time.tow_s, _unicore(epoch)) for epoch in islice(epochs, count)], [_log_of(e) for e in ephemerides]),
+        "sbf": Parts([(epoch.time.tow_s, septentrio(epoch)) for epoch in islice(epochs, count)], [_raw_blocks(e) for e in ephemerides]),
+        "unicore": Parts([(epoch.time.tow_s, unicore(epoch)) for epoch in islice(epochs, count)], [_log_of(e) for e in ephemerides]),
     }
     dates = {"rtcm3": RTCM3_DATE}
     return [_receiver(name, spread(parts, rate, count), dates.get(name, "")) for name, parts in made.items()]
@@ -172,11 +172,13 @@ def _fix(time: GpsTime) -> ReceiverFix:
     )  # fmt: skip
 
 
-def _septentrio(epoch: Epoch) -> bytes:
+def septentrio(epoch: Epoch) -> bytes:
+    """Return what a Septentrio receiver sends with an epoch: MeasEpoch, MeasExtra, PVTGeodetic."""
     return encode_meas_epoch(epoch) + encode_meas_extra(epoch) + encode_pvt(_fix(epoch.time))
 
 
-def _unicore(epoch: Epoch) -> bytes:
+def unicore(epoch: Epoch) -> bytes:
+    """Return what a Unicore receiver sends with an epoch: OBSVM, BESTNAV."""
     return encode_observations(epoch) + encode_position(_fix(epoch.time))
 
 

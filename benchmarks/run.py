@@ -45,6 +45,7 @@ class Benchmark:
         return f"not installed: {', '.join(missing)}" if missing else ""
 
 
+PARSERS = ("pyubx2", "pyrtcm", "pysbf2", "pynmeagps")
 BENCHMARKS = (
     Benchmark("accuracy", "accuracy.py", "Solutions beside RTKLIB's, per recording", ("--quick",)),
     Benchmark("campaign", "campaign.py", "Simulated runs against the truth", ("--quick",), recordings=False),
@@ -55,7 +56,7 @@ BENCHMARKS = (
     Benchmark("slips", "slips.py", "Cycle slips: found, missed, and what these do", ("--quick",), recordings=False),
     Benchmark("integrity", "integrity.py", "Fix probabilities and protection levels against errors", ("--quick",)),
     Benchmark("endurance", "endurance.py", "A million updates of one filter", ("--quick",), recordings=False),
-    Benchmark("decode", "decode_speed.py", "Decoders beside pyubx2 and pyrtcm", modules=("pyubx2", "pyrtcm")),
+    Benchmark("decode", "decode_speed.py", "Decoders beside the Python parsers and convbin", ("--quick",), PARSERS),
     Benchmark("ingest", "ingest_load.py", "Four receivers at 20 Hz: what decoding and publishing cost", ("--quick",)),
     Benchmark("engine", "engine_speed.py", "The engine's steps"),
     Benchmark("ntrip", "ntrip.py", "NTRIP client and caster beside str2str", ("--quick",), recordings=False),

@@ -1,4 +1,4 @@
-"""The arithmetic of benchmarks/ingest_load.py and load_streams.py: what comes at which rate, and what is counted."""
+"""The arithmetic of benchmarks/ingest_load.py, load_streams.py and whole_recordings.py: what comes at which rate, what is counted."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number, signal_number
 from rtkmesh.gnss.time import GpsTime
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-NAMES = ("load_streams", "ingest_load")
+NAMES = ("load_streams", "ingest_load", "whole_recordings")
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +99,28 @@ def test_figures_of_a_process_are_the_systems(benchmarks: SimpleNamespace):
     assert benchmarks.ingest_load.pss_mib(os.getpid()) > 10.0
     with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as child:
         assert {os.getpid(), child.pid} <= benchmarks.ingest_load.family(os.getpid())
+
+
+def test_a_recordings_line_counts_what_is_in_it(benchmarks: SimpleNamespace):
+    """Five epochs: too few for a mean; the Python parser gets whole frames of the part; convbin is not asked."""
+    whole = benchmarks.whole_recordings
+    data = b"".join(rawx(100.0 + k) for k in range(5))
+    got: list[int] = []
+
+    def peer(part: bytes) -> int:
+        got.append(whole.pyubx2(part))
+        return got[-1]
+
+    cells = whole.row(whole.Recording("five", "", "pyubx2", peer), data, whole.Effort(repeats=1, peer_bytes=3 * len(rawx(0.0))))
+    assert cells[:3] == ("five", f"{len(data) / 1e6:.2f}", "5")
+    assert (cells[4], cells[7], got) == ("", "", [3])
+    assert cells[5].startswith("pyubx2 ")
+
+
+def test_lines_of_the_recordings_are_aligned(benchmarks: SimpleNamespace):
+    """Columns begin and end where those of the head do; ratios have a decimal where it counts."""
+    whole = benchmarks.whole_recordings
+    head, row = whole.aligned(whole.COLUMNS), whole.aligned(("a", "1.00", "3", "2.0", "", "pyubx2 0.55", "38", "8.2 (16)"))
+    assert head.index(" epochs") + 7 == row.index("3 ") + 1
+    assert len(head) == len(row)
+    assert (whole.times(0.84), whole.times(9.94), whole.times(111.2)) == ("0.8", "9.9", "111")
