@@ -2,8 +2,8 @@
 
 Ours is the ingest's path: pieces of 64 KiB through ``StreamDecoder`` with all its protocols. The Python parsers get the first part of a
 recording (they take milliseconds a message), and ours is timed on that part again for the ratio; they give values of fields, not
-epochs. convbin is a process that also starts, reads and writes files, and that passes over NMEA; all is processor time. Septentrio's and Unicore's streams are
-encoded from the epochs of an RTCM 3 recording: there is no recording of theirs.
+epochs. convbin is a process that also starts, reads and writes files, and that passes over NMEA; all is processor time. Septentrio's and
+Unicore's streams are encoded from the epochs of an RTCM 3 recording: there is no recording of theirs.
 """
 
 import gzip
