@@ -14,7 +14,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from pyubx2 import UBXReader
 import kernel_cache  # noqa: F401  first of all
 from load_streams import decoded
 from rtkmesh.codecs.framing import Framer
-from rtkmesh.codecs.messages import Frame, Protocol
+from rtkmesh.codecs.messages import Decoder, Frame, Protocol
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.rtcm3_encode import encode_epoch
 from rtkmesh.codecs.sbf import SbfDecoder
@@ -68,45 +68,38 @@ def framing(data: bytes) -> Run:
     return run, len(data)
 
 
-def ubx_messages(kind: str) -> Callable[[bytes], Run]:
-    def prepare(data: bytes) -> Run:
-        frames: list[Frame] = [frame for frame in Framer([Protocol.UBX]).feed(data) if frame.kind == kind]
+def decoding(frames: list[Frame], new_decoder: Callable[[], Decoder]) -> Run:
+    """Decode these frames with what belongs to them: gathering of epochs, slips, sorting."""
 
-        def run() -> int:
-            decoder = UbxDecoder()
-            for frame in frames:
-                decoder.decode(frame)
-            return len(frames)
+    def run() -> int:
+        decoder = new_decoder()
+        for frame in frames:
+            decoder.decode(frame)
+        return len(frames)
 
-        return run, sum(len(frame.data) for frame in frames)
+    return run, sum(len(frame.data) for frame in frames)
 
-    return prepare
+
+def messages(protocol: Protocol, kinds: Collection[str], new_decoder: Callable[[], Decoder]) -> Callable[[bytes], Run]:
+    """Decode the messages of these kinds."""
+    return lambda data: decoding([frame for frame in Framer([protocol]).feed(data) if frame.kind in kinds], new_decoder)
 
 
 RTCM_DATE = GpsTime.from_calendar(2018, 7, 14, 12)
 
 
+def ubx_messages(kind: str) -> Callable[[bytes], Run]:
+    return messages(Protocol.UBX, (kind,), UbxDecoder)
+
+
 def rtcm_messages(*kinds: str) -> Callable[[bytes], Run]:
-    """Decode the messages of these kinds with what belongs to them: gathering of epochs, slips, sorting."""
-
-    def prepare(data: bytes) -> Run:
-        frames = [frame for frame in Framer([Protocol.RTCM3]).feed(data) if frame.kind in kinds]
-
-        def run() -> int:
-            decoder = Rtcm3Decoder(RTCM_DATE)
-            for frame in frames:
-                decoder.decode(frame)
-            return len(frames)
-
-        return run, sum(len(frame.data) for frame in frames)
-
-    return prepare
+    return messages(Protocol.RTCM3, kinds, lambda: Rtcm3Decoder(RTCM_DATE))
 
 
 def rtcm_encoding(data: bytes) -> Run:
     decoder = Rtcm3Decoder(RTCM_DATE)
-    messages = [message for frame in Framer([Protocol.RTCM3]).feed(data) for message in decoder.decode(frame)]
-    epochs = [message for message in messages if isinstance(message, Epoch)][:200]
+    found = [message for frame in Framer([Protocol.RTCM3]).feed(data) for message in decoder.decode(frame)]
+    epochs = [message for message in found if isinstance(message, Epoch)][:200]
     size = sum(len(frame) for epoch in epochs for frame in encode_epoch(epoch, 0))
     return lambda: sum(len(encode_epoch(epoch, 0)) for epoch in epochs), size
 
@@ -117,15 +110,7 @@ def sbf_blocks(data: bytes) -> list[Frame]:
 
 def sbf_measurements(data: bytes) -> Run:
     """MeasEpoch with its MeasExtra, which together give an epoch."""
-    frames = sbf_blocks(data)
-
-    def run() -> int:
-        decoder = SbfDecoder(RTCM_DATE)
-        for frame in frames:
-            decoder.decode(frame)
-        return len(frames)
-
-    return run, sum(len(frame.data) for frame in frames)
+    return decoding(sbf_blocks(data), lambda: SbfDecoder(RTCM_DATE))
 
 
 def pysbf2_measurements(data: bytes) -> int:
@@ -139,15 +124,8 @@ def unicore_logs(encode: Callable[[Epoch], bytes]) -> Callable[[bytes], Run]:
     """Decode a kind of observation log."""
 
     def prepare(data: bytes) -> Run:
-        frames = Framer([Protocol.UNICORE]).feed(b"".join(encode(epoch) for epoch in decoded(data)[0][:MADE_EPOCHS]))
-
-        def run() -> int:
-            decoder = UnicoreDecoder()
-            for frame in frames:
-                decoder.decode(frame)
-            return len(frames)
-
-        return run, sum(len(frame.data) for frame in frames)
+        logs = b"".join(encode(epoch) for epoch in decoded(data)[0][:MADE_EPOCHS])
+        return decoding(Framer([Protocol.UNICORE]).feed(logs), UnicoreDecoder)
 
     return prepare
 

@@ -1,8 +1,5 @@
 """The campaign's own arithmetic: bounds, judgement, figures; and that every family runs and repeats itself."""
 
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,19 +7,7 @@ import pytest
 
 from rtkmesh.rtk.engine import Rtk
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 NAMES = ("bounds", "campaign", "families", "simulated", "dive", "heading")
-
-
-@pytest.fixture(scope="module")
-def benchmarks() -> Iterator[SimpleNamespace]:
-    """The modules of the benchmarks' folder, which is no package."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        yield SimpleNamespace(**{name: __import__(name) for name in NAMES})
-    for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "/").parent == BENCHMARKS:
-            del sys.modules[name]
 
 
 @pytest.mark.parametrize(

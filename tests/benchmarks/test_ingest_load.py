@@ -2,9 +2,6 @@
 
 import os
 import subprocess
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,19 +16,7 @@ from rtkmesh.gnss.epoch import make_epoch
 from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number, signal_number
 from rtkmesh.gnss.time import GpsTime
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 NAMES = ("load_streams", "ingest_load", "whole_recordings")
-
-
-@pytest.fixture(scope="module")
-def benchmarks() -> Iterator[SimpleNamespace]:
-    """The modules of the benchmarks' folder, which is no package."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        yield SimpleNamespace(**{name: __import__(name) for name in NAMES})
-    for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "/").parent == BENCHMARKS:
-            del sys.modules[name]
 
 
 def rawx(tow_s: float) -> bytes:
