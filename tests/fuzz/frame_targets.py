@@ -105,7 +105,7 @@ class Framed:
 
     def reader(self) -> Reader:
         """Return a reader that cuts and decodes frames, with a fresh decoder every so often, every second one without a time."""
-        framer, total = Framer(), DecodingCounters()
+        framer, total = Framer([self.protocol]), DecodingCounters()
         decoders = (self.decoder(None if number % 2 else START) for number in count())
         decoder, left = next(decoders), _RESTART
 
