@@ -64,7 +64,8 @@ def full_measurements(rows: NDArray[np.void]) -> Measurements:
         ("pseudorange_m", 1.0), ("range_cyc", 1.0), ("doppler_hz", 1.0), ("cn0", CN0_UNIT_DBHZ), ("lock_s", 1.0),
         ("pseudorange_sigma", SIGMA_UNIT_M), ("phase_sigma", SIGMA_UNIT_CYC),
     )):  # fmt: skip
-        np.multiply(rows[name], unit, out=values[:, k])
+        with np.errstate(invalid="ignore"):  # NaNs that signal
+            np.multiply(rows[name], unit, out=values[:, k])
     return Measurements(numbers, values)
 
 
