@@ -137,7 +137,7 @@ def test_observations_come_back_as_they_were_sent(sent: Epoch):
     """Binary exactly, ASCII to its digits, with sigmas, lock time and C/N0."""
     binary, text = only(encode_observations(sent)), only(encode_observations_ascii(sent))
     check_epoch(binary, sent, (0.0, 0.0, 5e-4))
-    check_epoch(text, sent, (5.1e-4, 5.1e-7, 1.1e-3))
+    check_epoch(text, sent, (5.1e-4, 5.1e-7, 1.6e-3))  # the Doppler is rounded three times
     for found in (binary, text):
         np.testing.assert_allclose(found.cn0_dbhz, sent.cn0_dbhz, atol=0.0051)
         np.testing.assert_allclose(found.lock_s, sent.lock_s, atol=0.003)
