@@ -141,11 +141,11 @@ def _add(total: DecodingCounters, more: DecodingCounters) -> None:
 PROTOCOLS: Final = (
     Framed(
         Protocol.UBX, lambda body: ubx_encode.frame(body[0], body[1], body[2:]), _ubx_pool, [bytes.fromhex(head) for head in _UBX],
-        2000, UbxDecoder, 0.25, BINARY,
+        2000, UbxDecoder, 0.22, BINARY,
     ),
     Framed(
         Protocol.RTCM3, rtcm3_encode.frame, _rtcm3_pool, [struct.pack(">H", number << 4) for number in _RTCM3],
-        1023, Rtcm3Decoder, 0.2, BINARY,
+        1023, Rtcm3Decoder, 0.17, BINARY,
     ),
     Framed(
         Protocol.NMEA, seal_nmea, lambda: _NMEA_SEEDS, [seed[:6] for seed in _NMEA_SEEDS],
@@ -184,4 +184,4 @@ def _stream_reader() -> Reader:
 def targets() -> list[Target]:
     """Return the targets of frames; counters of each must account for every frame."""
     each = [Target(framed.protocol.value, framed.frames, framed.reader, framed.share) for framed in PROTOCOLS]
-    return [*each, Target("stream", mixed, _stream_reader, 0.12)]
+    return [*each, Target("stream", mixed, _stream_reader, 0.085)]
