@@ -1,13 +1,14 @@
 """NovAtel OEM4 to OEM7 logs: published lines, both antennas, both forms, round trips, half cycles, and damaged bodies."""
 
 from dataclasses import replace
-from math import degrees, isnan, nan, radians
+from math import degrees, isnan, radians
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.codecs.drawn_epochs import TIME, check_epoch, epochs, every_signal
 
 from rtkmesh.codecs import novatel_encode as encode
 from rtkmesh.codecs.checksums import crc32
@@ -19,26 +20,16 @@ from rtkmesh.codecs.novatel import NovatelDecoder
 from rtkmesh.codecs.novatel_signals import SIGNALS
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.subframes_encode import lnav_subframes
-from rtkmesh.codecs.unicore_signals import SATELLITES
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.ephemeris import Ephemeris, KeplerEphemeris, KlobucharParameters, NavigationMessage, ReceiverFix
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch, make_epoch
 from rtkmesh.gnss.receiver import CarrierSolution, ReceiverHeading, ReceiverVersion
-from rtkmesh.gnss.signals import GALILEO, GLONASS, GPS, NO_CHANNEL, SATELLITES_PER_SYSTEM, carrier_hz, signal_number
+from rtkmesh.gnss.signals import GALILEO, GPS, NO_CHANNEL, SATELLITES_PER_SYSTEM, carrier_hz
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.sky import KLOBUCHAR, broadcast
 from rtkmesh.simulation.sky import SATELLITES as SIMULATED
 
-TIME = GpsTime(2419, 132572.0)
-# (satellite, code) of everything that NovAtel has a number for
-ALL = sorted(
-    {
-        (system * SATELLITES_PER_SYSTEM + prn - offset, signal_number(code))
-        for number, system, first, last, offset in SATELLITES
-        for prn in (first, last)
-        for code in SIGNALS[number].values()
-    }
-)
+ALL = every_signal(SIGNALS)
 
 
 def decoded(data: bytes, decoder: NovatelDecoder | None = None) -> list[Message]:
@@ -98,36 +89,7 @@ def test_a_published_position_and_version():
     assert version == ReceiverVersion("OEM719-1.02", "OM7MR0810RN0000", "", ("FFNRNNCBN", "OM7BR0000RBG000"))
 
 
-@st.composite
-def epochs(draw: st.DrawFn) -> Epoch:
-    """Return an epoch with any of the signals and plausible values; some have no phase, no pseudorange or an open half cycle."""
-    chosen = draw(st.lists(st.sampled_from(ALL), min_size=1, max_size=12, unique=True))
-    count = len(chosen)
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    satellite, signal = (np.array([pair[k] for pair in chosen]) for k in (0, 1))
-    channel = np.where(satellite // SATELLITES_PER_SYSTEM == GLONASS, rng.integers(-7, 7, count), NO_CHANNEL)
-    pseudorange_m = rng.uniform(1.8e7, 4.2e7, count)
-    carriers = [carrier_hz(int(a), int(b), int(c)) for a, b, c in zip(satellite, signal, channel, strict=True)]
-    phase_cyc = np.where(
-        rng.random(count) < 0.9, pseudorange_m * np.array(carriers) / SPEED_OF_LIGHT_MPS + rng.uniform(-500.0, 500.0, count), nan
-    )
-    flags = np.where(np.isfinite(phase_cyc) & (rng.random(count) < 0.2), HALF_CYCLE, 0)
-    return make_epoch(
-        TIME, satellite=satellite, signal=signal, channel=channel, pseudorange_m=np.where(rng.random(count) < 0.9, pseudorange_m, nan),
-        phase_cyc=phase_cyc, doppler_hz=np.where(np.isfinite(phase_cyc), rng.uniform(-9e3, 9e3, count), nan), flags=flags,
-        cn0_dbhz=rng.uniform(20.0, 51.0, count), lock_s=rng.uniform(1.0, 6e4, count), pseudorange_sigma_m=rng.uniform(0.05, 9.0, count),
-        phase_sigma_cyc=rng.uniform(0.001, 0.05, count),
-    )  # fmt: skip
-
-
-def check_epoch(found: Epoch, sent: Epoch, steps: dict[str, float]) -> None:
-    for name in ("satellite", "signal", "channel", "flags"):
-        assert getattr(found, name).tolist() == getattr(sent, name).tolist()
-    for name, step in steps.items():
-        np.testing.assert_allclose(getattr(found, name), getattr(sent, name), rtol=0.0, atol=step, equal_nan=True, err_msg=name)
-
-
-@given(sent=epochs())
+@given(sent=epochs(ALL, half_cycles=True))
 @settings(max_examples=50, deadline=None)
 def test_observations_come_back_as_they_were_sent(sent: Epoch):
     """Binary exactly (as far as single precision goes), ASCII to its digits; half cycles that are open stay open."""
@@ -137,7 +99,7 @@ def test_observations_come_back_as_they_were_sent(sent: Epoch):
     check_epoch(only(encode.encode_observations_ascii(sent)), sent, {"pseudorange_m": 5.1e-4, "phase_cyc": 5.1e-7, **text})
 
 
-@given(sent=epochs())
+@given(sent=epochs(ALL, half_cycles=True))
 @settings(max_examples=50, deadline=None)
 def test_compressed_observations_come_back(sent: Epoch):
     """Negative Dopplers, rolled phases and the table of sigmas, in both forms."""
