@@ -13,7 +13,7 @@ from tests.fuzz.bodies import BINARY, Bytes, bodies
 from tests.fuzz.harness import Reader, Target
 
 from rtkmesh.codecs import rtcm3_encode, ubx_encode
-from rtkmesh.codecs.framing import NMEA_MAX_LENGTH, Framer
+from rtkmesh.codecs.framing import FRAMED, NMEA_MAX_LENGTH, Framer
 from rtkmesh.codecs.messages import Decoder, DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
 from rtkmesh.codecs.novatel import NovatelDecoder
@@ -89,7 +89,7 @@ def seal_nmea(text: bytes) -> bytes:
 class Framed:
     """A framed protocol: how a body becomes a frame, bodies that our encoders make, heads of known messages, its decoder.
 
-    ``longest``: bytes of a body; ``name`` of the target where it is not the protocol's.
+    ``longest``: bytes of a body; ``name`` of the target where it is not the protocol's: its frames may be of any.
     """
 
     protocol: Protocol
@@ -108,7 +108,7 @@ class Framed:
 
     def reader(self) -> Reader:
         """Return a reader that cuts and decodes frames, with a fresh decoder every so often, every second one without a time."""
-        framer, total = Framer(), DecodingCounters()
+        framer, total = Framer(FRAMED if self.name else [self.protocol]), DecodingCounters()
         decoders = (self.decoder(None if number % 2 else START) for number in count())
         decoder, left = next(decoders), _RESTART
 

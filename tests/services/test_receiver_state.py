@@ -90,7 +90,7 @@ def test_reports_are_summed_up():
     assert data["ports"]["buffer_full"] is True
     assert data["receiver"]["model"] == "ZED-F9P"
     expected = {"messages": 3, "failed_crc": 1, "used": 1, "not_used": 1, "message": 1077, "station_id": 12, "age_s": 0.0}
-    assert data["corrections"] == expected
+    assert data["corrections_used"] == expected
     assert told.events == []
 
 

@@ -95,7 +95,7 @@ class ReceiverState:
         counts["failed_crc"] += use.failed_crc
         counts["used"] += use.used is True
         counts["not_used"] += use.used is False
-        self._newest["corrections"] = (mono_ns, {**counts, "message": use.message, "station_id": use.station_id})
+        self._newest["corrections_used"] = (mono_ns, {**counts, "message": use.message, "station_id": use.station_id})
 
     def _tell_faults(self, health: RfHealth, tell: Tell) -> None:
         """Tell each fault when it comes."""
