@@ -25,7 +25,7 @@ from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.informed import INFORMED_FROM_M
-from rtkmesh.rtk.integrity import IntegritySetup
+from rtkmesh.rtk.integrity import SURENESS, IntegritySetup, sureness
 from rtkmesh.rtk.matching import matching_rules
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, forget, new_memory, resolve_setup
 from rtkmesh.rtk.noise import new_code_scale
@@ -321,7 +321,8 @@ class Rtk:
         begun, past = self._begun(rover, singles[0], state.base_ecef_m), self._past.copy()
         past.forget()
         solved = self._solved(begun, past, rover, bases, issues, singles)
-        if solved.status != SOLVED or not solved.figures[IS_FIXED] or solved.figures[ODDS] < ACCEPT_AT_ONCE:
+        clear = ACCEPT_AT_ONCE * sureness(state.baseline_m) / SURENESS
+        if solved.status != SOLVED or not solved.figures[IS_FIXED] or solved.figures[ODDS] < clear:
             return None
         self._state = begun
         self._past.memory[:], self._past.prediction[:] = past.memory, past.prediction

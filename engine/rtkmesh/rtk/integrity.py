@@ -99,14 +99,19 @@ def note_agreement(memory: Vector, confirmed: float, time_s: float) -> None:
 
 
 @kernel
+def sureness(length_m: float) -> float:
+    """Return by what factor log odds are too sure on a baseline of this length."""
+    return SURENESS + SURENESS_FAR * min(length_m / FAR_M, 1.0)
+
+
+@kernel
 def wrong_probability(odds: float, unagreed: float, length_m: float) -> float:
     """Return the probability that the integers of a fix are wrong: by the log odds of the last free search, the epochs since such a search
     gave what is held, and the length of the baseline.
     """
     if unagreed > UNAGREED_EPOCHS:
         return WRONG_UNAGREED
-    sureness = SURENESS + SURENESS_FAR * min(length_m / FAR_M, 1.0)
-    return min(max(exp(-odds / sureness), WRONG_LEAST), WRONG_MOST)
+    return min(max(exp(-odds / sureness(length_m)), WRONG_LEAST), WRONG_MOST)
 
 
 @kernel
