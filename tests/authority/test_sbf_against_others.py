@@ -32,6 +32,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.scenario import open_stream
 from rtkmesh.simulation.sky import KLOBUCHAR, broadcast
 from rtkmesh.simulation.ubx_stream import frame_start
+from rtkmesh_services.cli.main import run as rtkmesh
 
 # Fields of ours -> RTKLIB's.
 KEPLER = {
@@ -134,6 +135,16 @@ def test_convbin_reads_the_measurements_as_we_do(
     for a, b in zip(ours, epochs, strict=True):
         np.testing.assert_allclose(a.pseudorange_m, b.pseudorange_m, rtol=0.0, atol=PRINTED)
         np.testing.assert_allclose(a.phase_cyc, b.phase_cyc, rtol=0.0, atol=PRINTED)
+
+
+@pytest.mark.rtklib
+def test_the_rinex_of_a_log_is_convbins(simulated: tuple[list[Epoch], bytes, bytes], rtklib_program: Callable[[str], str], tmp_path: Path):
+    """``rtkmesh convert`` and convbin write the same observations, to the last digit that RINEX has."""
+    theirs, _ = convbin(rtklib_program("convbin"), tmp_path, simulated[1])
+    log, out = tmp_path / "log.sbf", tmp_path / "ours.obs"
+    assert rtkmesh(["convert", str(log), "--to", "rinex", "--out", str(out), "--quiet"]) == 0
+    ours = list(ObservationReader(out.read_bytes()))
+    assert assert_same(known_to(theirs, ours), theirs) > 1000
 
 
 @pytest.mark.rtklib

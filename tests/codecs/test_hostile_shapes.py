@@ -11,15 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from rtkmesh.codecs import novatel_encode, unicore_encode
+from rtkmesh.codecs.checksums import crc16
 from rtkmesh.codecs.messages import MAX_IGNORED_KINDS, Frame, Message, Protocol
 from rtkmesh.codecs.navigation import NavigationDecoder
 from rtkmesh.codecs.rinex_observation import ObservationReader
 from rtkmesh.codecs.rtcm3_encode import encode_station
 from rtkmesh.codecs.rtcm3_encode import frame as rtcm3
+from rtkmesh.codecs.sbf_encode import block
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx import UbxDecoder
 from rtkmesh.codecs.ubx_encode import frame as ubx
 from rtkmesh.gnss.ephemeris import ReceiverFix, ReferenceStation
+from rtkmesh.gnss.receiver import CorrectionUse, ReceiverVersion
 from rtkmesh.gnss.time import GpsTime
 
 NOW = GpsTime(2400, 7200.0)
@@ -66,6 +70,28 @@ def descriptors(number: int, *lengths: int, sent: int = 1000) -> bytes:
     return rtcm3(body[: 3 + sent])
 
 
+def sbf(number: int, length: int, fields: bytes) -> bytes:
+    """Return a block that says any length of itself; its checksum is over what is there."""
+    covered = struct.pack("<HH", number, length) + fields
+    return b"$@" + crc16(covered).to_bytes(2, "little") + covered
+
+
+def meas_epoch(blocks: int, first: int, further: int, sub_blocks: bytes) -> bytes:
+    """Return MeasEpoch that claims so many sub-blocks of these lengths."""
+    return block("4027", NOW, bytes((blocks, first, further, 0, 0, 0)) + sub_blocks)
+
+
+def oem(name: str, count: int, rest: bytes) -> bytes:
+    return novatel_encode.binary_log(name, NOW, count.to_bytes(4, "little") + rest)
+
+
+def unicore(name: str, count: int, rest: bytes) -> bytes:
+    return unicore_encode.binary_log(name, NOW, count.to_bytes(4, "little") + rest)
+
+
+WRAPS = 97612894  # 44 times this is 40 in 32 bits
+
+
 @dataclass(frozen=True)
 class Shape:
     """``refused``: the counter that goes up, empty where it is understood or none of ours; ``gives``: what must come out."""
@@ -91,8 +117,8 @@ SHAPES = {
     "ubx sfrbx: satellite 255 of system 255": Shape("RTKLIB rcvraw, satellite as an index", sfrbx(10, 10, gnss=255, satellite=255), "ubx/02-13 satellite"),
     "ubx sfrbx: GLONASS 255 (unknown)": Shape("u-blox F9 HPG 1.32, 3.17.9: svId 255", sfrbx(4, 4, gnss=6, satellite=255), "ubx/02-13 satellite"),
     "ubx pvt: cut": Shape("PX4-GPSDrivers PR 176 (length checked in part only)", ubx(1, 7, bytes(40)), "ubx/01-07 length"),
-    "ubx rxm-rtcm: far too long": Shape("PX4-GPSDrivers PR 176 (RXM-RTCM)", ubx(2, 0x32, bytes(2000)), "", lambda found: found[0].message == 0),
-    "ubx mon-ver: unterminated strings": Shape("PX4-Autopilot PR 28583 (MON-VER)", ubx(0x0A, 4, LONG[:220]), "", lambda found: max(map(len, found[0].extensions)) == 30),
+    "ubx rxm-rtcm: far too long": Shape("PX4-GPSDrivers PR 176 (RXM-RTCM)", ubx(2, 0x32, bytes(2000)), "", lambda messages: messages == [CorrectionUse(0, 0, 0, False, None)]),
+    "ubx mon-ver: unterminated strings": Shape("PX4-Autopilot PR 28583 (MON-VER)", ubx(0x0A, 4, LONG[:220]), "", lambda messages: [type(m) for m in messages] == [ReceiverVersion] and max(map(len, messages[0].extensions)) == 30),
     "ubx: length 65535": Shape("PX4-Autopilot PR 24491 (a wrong length swallows what follows)", b"\xb5\x62\x02\x15\xff\xff"),
     "ubx: length 0, no payload": Shape("length 0 minus something: CVE-2025-67269 (gpsd packet.c)", ubx(1, 7, b""), "ubx/01-07 length"),
     "rtcm3: length 0": Shape("CVE-2025-67269 (gpsd: length underflow, endless loop)", rtcm3(b""), "rtcm3 too short"),
@@ -125,6 +151,27 @@ SHAPES = {
     ),
     "nmea gga: three fields": Shape("gpsd work item 397 no. 2 (missing fields)", nmea("GNGGA,020000,4717.1"), "nmea/GNGGA field"),
     "nmea rmc: format characters": Shape("gpsd work item 397 no. 2 (format string)", nmea("GNRMC,%s%n,A,%n,N,%x,E,,,%s,,"), "nmea/GNRMC field"),
+    "sbf: length 0": Shape("rtklibexplorer/RTKLIB PR 80 (block length 0 is not refused)", sbf(4027, 0, bytes(12))),
+    "sbf: length 7": Shape("rtklibexplorer/RTKLIB PR 80", sbf(4027, 7, bytes(12))),
+    "sbf: length not a multiple of four": Shape("mosaic-X5 reference guide 4.1.1", sbf(4027, 22, bytes(14))),
+    "sbf: length 65532": Shape("PX4-Autopilot PR 24491 (a wrong length swallows what follows)", sbf(4027, 65532, bytes(12))),
+    "sbf MeasEpoch: no byte behind the time": Shape("rtklibexplorer/RTKLIB PR 475 (no bounds were checked)", block("4027", NOW, b""), "sbf/4027 length"),
+    "sbf MeasEpoch: 255 sub-blocks, one sent": Shape("rtklibexplorer/RTKLIB PR 475", meas_epoch(255, 20, 12, bytes(20)), "sbf/4027 length"),
+    "sbf MeasEpoch: sub-blocks of length 0": Shape("CVE-2025-67269 (gpsd: a length of 0 never ends)", meas_epoch(255, 0, 0, bytes(40)), "sbf/4027 length"),
+    "sbf MeasEpoch: sub-block beyond the block": Shape("rtklibexplorer/RTKLIB PR 475", meas_epoch(1, 255, 12, bytes(20)), "sbf/4027 length"),
+    "sbf MeasEpoch: 255 further signals of length 0": Shape("CVE-2025-67269", meas_epoch(1, 20, 0, bytes(19) + b"\xff"), "sbf/4027 length"),
+    "sbf GPSRawCA: cut": Shape("rtklibexplorer/RTKLIB PR 475", block("4017", NOW, bytes(10)), "sbf/4017 length"),
+    "unicore: length 65535": Shape("PX4-Autopilot PR 24491", b"\xaa\x44\xb5\x00\x0c\x00\xff\xff" + bytes(16)),
+    "unicore OBSVM: count that wraps": Shape("RTKLIB #361 (integer overflow in the check of a length)", unicore("OBSVM", WRAPS, bytes(40)), "unicore/OBSVMB length"),
+    "unicore OBSVMCMP: count -1": Shape("RTKLIB #361", unicore("OBSVMCMP", 0xFFFFFFFF, bytes(24)), "unicore/OBSVMCMPB length"),
+    "unicore OBSVM: no count": Shape("RTKLIB #361", unicore_encode.binary_log("OBSVM", NOW, b"\x01"), "unicore/OBSVMB length"),
+    "novatel: length 65535": Shape("ArduPilot #34150 (header and payload confused in the check of a length)", b"\xaa\x44\x12\x1c\x2b\x00\x00\x20\xff\xff" + bytes(18)),
+    "novatel: header of 0 bytes": Shape("ArduPilot #34150 (an index less the header's length)", b"\xaa\x44\x12\x00\x2b\x00\x00\x20\x00\x00" + bytes(18)),
+    "novatel: header of 255 bytes": Shape("ArduPilot #34150", b"\xaa\x44\x12\xff\x2b\x00\x00\x20\x00\x00" + bytes(18)),
+    "novatel RANGE: count that wraps": Shape("RTKLIB #361 (44 times 97612894 is 40)", oem("RANGE", WRAPS, bytes(40)), "novatel/RANGEB length"),
+    "novatel RANGECMP: count -1": Shape("RTKLIB #361", oem("RANGECMP", 0xFFFFFFFF, bytes(24)), "novatel/RANGECMPB length"),
+    "novatel RANGE: no count": Shape("RTKLIB #361", novatel_encode.binary_log("RANGE", NOW, b""), "novatel/RANGEB length"),
+    "novatel RAWEPHEM: cut": Shape("RTKLIB novatel.c, lengths of logs", novatel_encode.binary_log("RAWEPHEM", NOW, bytes(60)), "novatel/RAWEPHEMB length"),
     "nmea: nothing between $ and *": Shape("ArduPilot #34136 (stored before the checksum is checked)", b"$*00\r\n"),
     "nmea: checksum of one digit": Shape("ArduPilot #34136", b"$GNGGA,1*5\r\n"),
 }  # fmt: skip

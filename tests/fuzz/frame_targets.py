@@ -13,9 +13,10 @@ from tests.fuzz.bodies import BINARY, Bytes, bodies
 from tests.fuzz.harness import Reader, Target
 
 from rtkmesh.codecs import rtcm3_encode, ubx_encode
-from rtkmesh.codecs.framing import NMEA_MAX_LENGTH, Framer
+from rtkmesh.codecs.framing import FRAMED, NMEA_MAX_LENGTH, Framer
 from rtkmesh.codecs.messages import Decoder, DecodingCounters, Frame, Message, Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
+from rtkmesh.codecs.novatel import NovatelDecoder
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.rtcm3_ephemeris import LAYOUTS
 from rtkmesh.codecs.sbf import SbfDecoder
@@ -76,7 +77,8 @@ def _rtcm3_pool() -> list[bytes]:
 
 
 def seal_nmea(text: bytes) -> bytes:
-    """Return the sentence of a text."""
+    """Return the sentence of a text (``$@`` begins a block of SBF)."""
+    text = b"G" + text[1:] if text[:1] == b"@" else text
     check = 0
     for character in text:
         check ^= character
@@ -87,7 +89,7 @@ def seal_nmea(text: bytes) -> bytes:
 class Framed:
     """A framed protocol: how a body becomes a frame, bodies that our encoders make, heads of known messages, its decoder.
 
-    ``longest``: bytes of a body.
+    ``longest``: bytes of a body; ``name`` of the target where it is not the protocol's: its frames may be of any.
     """
 
     protocol: Protocol
@@ -98,6 +100,7 @@ class Framed:
     decoder: Callable[[GpsTime | None], Decoder]
     share: float
     alphabet: Bytes
+    name: str = ""
 
     def frames(self, seed: int) -> Iterator[bytes]:
         """Yield random frames for ever, right in length and checksum."""
@@ -105,7 +108,7 @@ class Framed:
 
     def reader(self) -> Reader:
         """Return a reader that cuts and decodes frames, with a fresh decoder every so often, every second one without a time."""
-        framer, total = Framer([self.protocol]), DecodingCounters()
+        framer, total = Framer(FRAMED if self.name else [self.protocol]), DecodingCounters()
         decoders = (self.decoder(None if number % 2 else START) for number in count())
         decoder, left = next(decoders), _RESTART
 
@@ -141,7 +144,7 @@ def _add(total: DecodingCounters, more: DecodingCounters) -> None:
 PROTOCOLS: Final = (
     Framed(
         Protocol.UBX, lambda body: ubx_encode.frame(body[0], body[1], body[2:]), _ubx_pool, [bytes.fromhex(head) for head in _UBX],
-        2000, UbxDecoder, 0.22, BINARY,
+        2000, UbxDecoder, 0.17, BINARY,
     ),
     Framed(
         Protocol.RTCM3, rtcm3_encode.frame, _rtcm3_pool, [struct.pack(">H", number << 4) for number in _RTCM3],
@@ -157,8 +160,12 @@ PROTOCOLS: Final = (
         4000, lambda _: UnicoreDecoder(), 0.1, BINARY,
     ),
     Framed(
-        Protocol.NOVATEL, own.seal_ascii, lambda: own.ascii_pool(messages(), START), [b"OBSVMA,", b"GPSEPHA", b"BESTNAV", b"OBSVMCM"],
-        4000, lambda _: UnicoreDecoder(), 0.05, _NMEA_ALPHABET,
+        Protocol.UNICORE, own.seal_ascii, lambda: own.ascii_pool(messages(), START), [b"OBSVMA,", b"GPSEPHA", b"BESTNAV", b"OBSVMCM"],
+        4000, lambda _: UnicoreDecoder(), 0.04, _NMEA_ALPHABET, "ascii",
+    ),
+    Framed(
+        Protocol.NOVATEL, own.seal_novatel, lambda: own.novatel_pool(messages(), START), own.NOVATEL_HEADS,
+        4000, lambda _: NovatelDecoder(), 0.06, BINARY,
     ),
 )  # fmt: skip
 
@@ -183,5 +190,5 @@ def _stream_reader() -> Reader:
 
 def targets() -> list[Target]:
     """Return the targets of frames; counters of each must account for every frame."""
-    each = [Target(framed.protocol.value, framed.frames, framed.reader, framed.share) for framed in PROTOCOLS]
+    each = [Target(framed.name or framed.protocol.value, framed.frames, framed.reader, framed.share) for framed in PROTOCOLS]
     return [*each, Target("stream", mixed, _stream_reader, 0.085)]

@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice
 from math import isnan
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtkmesh.codecs import novatel_encode, sbf_encode, unicore_encode
 from rtkmesh.codecs.messages import Message
 from rtkmesh.codecs.nmea_encode import zda
 from rtkmesh.codecs.stream import StreamDecoder
@@ -196,3 +198,48 @@ def test_a_disk_that_is_full_leaves_nothing(logs: Path, to: str):
     assert done.returncode == 2
     assert "File too large" in done.stderr
     assert files() == []
+
+
+def log_of(maker: str) -> bytes:
+    """Return a log of what the simulated rover sees, in another maker's protocol."""
+    messages = [message for _, found in StreamDecoder().feed(simulated("rover")) for message in found]
+    epochs = [message for message in messages if isinstance(message, Epoch)]
+    orbits = [message for message in messages if isinstance(message, KeplerEphemeris | GlonassEphemeris)]
+    observations, orbit = {
+        "sbf": (sbf_encode.encode_meas_epoch, sbf_encode.encode_ephemeris),
+        "unicore": (unicore_encode.encode_observations, unicore_encode.encode_ephemeris),
+        "novatel": (novatel_encode.encode_observations, novatel_encode.encode_ephemeris),
+    }[maker]
+    whole_ms = [replace(epoch, time=GpsTime(epoch.time.week, round(epoch.time.tow_s, 3))) for epoch in epochs]
+    logs = [observations(epoch) for epoch in whole_ms]
+    return b"".join([logs[0], *(orbit(e, START) for e in orbits), *logs[1:]])
+
+
+@pytest.mark.parametrize("maker", ["sbf", "unicore", "novatel"])
+def test_logs_of_other_receivers_become_rinex(there: Path, maker: str):
+    """The kind is found from the content; satellites, values and orbits are those of the log."""
+    log = there / f"rover.{maker}"
+    log.write_bytes(log_of(maker))
+    (recording,) = open_recordings([log], None)
+    assert recording.kind == maker
+    recording.close()
+    assert run(["convert", str(log), "--to", "rinex", "--quiet"]) == 0
+    before, after = epochs_of(log), epochs_of(there / "rover.obs")
+    assert len(before) == len(after) == EPOCHS
+    for one, other in zip(before, after, strict=True):
+        assert [row[:2] for row in other.rows()] == [row[:2] for row in one.rows()]
+        np.testing.assert_allclose(other.pseudorange_m, one.pseudorange_m, rtol=0.0, atol=5.1e-4)
+        np.testing.assert_allclose(other.phase_cyc, one.phase_cyc, rtol=0.0, atol=5.1e-4)
+    assert ephemerides_of(there / "rover.nav") == ephemerides_of(log)
+
+
+def test_receivers_options_are_taken(logs: Path, there: Path, capsys: pytest.CaptureFixture[str]):
+    """-TADJ moves the epochs of a receiver to whole steps, as convbin's -ro does; what is no option is named."""
+    epochs = [replace(epoch, time=epoch.time + 0.003) for epoch in epochs_of(logs / "rover.ubx")]
+    (there / "late.nov").write_bytes(b"".join(novatel_encode.encode_observations(epoch) for epoch in epochs))
+    for options, expected in (("", 0.003), ("-TADJ=0.1", 0.0)):
+        assert run(["convert", "late.nov", "--to", "csv", "--receiver-options", options, "--force", "--quiet"]) == 0
+        with (there / "late.csv").open() as file:
+            assert {round(float(row["tow_s"]) % 1.0, 6) for row in csv.DictReader(file)} == {expected}
+    assert run(["convert", str(logs / "rover.ubx"), "--to", "json", "--receiver-options", "-TADJJ=1", "--quiet"]) == 2
+    assert "--receiver-options" in capsys.readouterr().err

@@ -1,13 +1,16 @@
 """What receivers tell of themselves, in the status of their ingest and as events."""
 
 import gzip
+from dataclasses import replace
 from math import nan, radians
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from rtkmesh.codecs import nmea_encode, novatel_encode, sbf_encode
 from rtkmesh.codecs.unicore_encode import encode_heading
+from rtkmesh.gnss.ephemeris import ReferenceStation
 from rtkmesh.gnss.receiver import (
     AntennaState,
     CarrierSolution,
@@ -163,3 +166,49 @@ def test_event_marks_of_a_recording_are_events(life: Lifecycle, data: Path):
     assert status.data["survey_in"]["active"] is False
     times = [event.data["rising"] or event.data["falling"] for event in marks]
     assert all(time[0] == 2021 for time in times if time)
+
+
+def in_status(life: Lifecycle, data: bytes) -> dict[str, Any]:
+    return feed(life, data).data
+
+
+def nmea_bytes(*sentences: str) -> bytes:
+    return "".join(sentences).encode()
+
+
+OTHER_HEADINGS = {
+    "AttEuler": sbf_encode.encode_attitude(replace(HEADING, roll_rad=nan, baseline_ned_m=None)),
+    "HEADING2": novatel_encode.encode_heading(HEADING),
+    "HEADING": novatel_encode.encode_heading(HEADING, "HEADING"),
+    "HDT": nmea_bytes(nmea_encode.hdt(123.5)),
+    "THS": nmea_bytes(nmea_encode.ths(123.5)),
+}
+
+
+@pytest.mark.parametrize("source", OTHER_HEADINGS)
+def test_headings_of_every_kind_of_receiver_are_shown_alike(life: Lifecycle, source: str):
+    """Septentrio, NovAtel and NMEA as u-blox and Unicore: the same names, and nothing where nothing is said."""
+    heading = in_status(life, OTHER_HEADINGS[source])["heading"]
+    assert heading["source"] == source
+    assert heading["heading_deg"] == pytest.approx(123.5, abs=1e-3)
+    assert heading["valid"] is True
+    assert heading["solution"] == (None if source in ("HDT", "THS") else "FIXED")
+
+
+def test_satellites_of_nmea_are_summed_up(life: Lifecycle):
+    """GSV says what is seen, GSA before it what is used; the next cycle completes them."""
+    rows = [
+        nmea_encode.SatelliteInView(5, 30.0, 60.0, 40.0),
+        nmea_encode.SatelliteInView(7, 31.0, 61.0, 41.0),
+        nmea_encode.SatelliteInView(9, 5.0, 62.0),
+    ]
+    cycle = nmea_bytes(*nmea_encode.gsa((5, 7), 3, 1.5, 1.0, 1.1), *nmea_encode.gsv(rows))
+    shown = in_status(life, cycle + cycle)["satellites_in_view"]
+    assert (shown["known"], shown["received"], shown["used"]) == (3, 2, 2)
+
+
+def test_what_a_septentrio_is_is_shown(life: Lifecycle):
+    """ReceiverSetup says what MON-VER and VERSION say."""
+    station = ReferenceStation(0, None, 0.1, "TRM57971.00     NONE", "1234", "SEPT MOSAIC-X5 4.14.0")
+    shown = in_status(life, sbf_encode.encode_setup(station, TIME))["receiver"]
+    assert (shown["model"], shown["software"]) == ("SEPT MOSAIC-X5", "4.14.0")

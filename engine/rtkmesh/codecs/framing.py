@@ -14,8 +14,16 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.codecs.candidates import BAD_CHECKSUM, NEEDS_MORE, NO_FRAME, hex_value
 from rtkmesh.codecs.checksums import crc24q_range, fletcher16_range
+from rtkmesh.codecs.framing_novatel import NOVATEL_LOGS, novatel_candidate
 from rtkmesh.codecs.framing_sbf import SBF_SECOND, sbf_candidate, sbf_number
-from rtkmesh.codecs.framing_unicore import ASCII_LOG_MAX_LENGTH, UNICORE_LOGS, ascii_log_candidate, is_novatel_log, unicore_candidate
+from rtkmesh.codecs.framing_unicore import (
+    ASCII_LOG_MAX_LENGTH,
+    UNICORE_LOGS,
+    UNICORE_THIRD,
+    ascii_log_candidate,
+    is_novatel_log,
+    unicore_candidate,
+)
 from rtkmesh.codecs.messages import Frame, FramingCounters, Protocol
 
 # The order is the numbering of the kernels, and of the bits of their masks.
@@ -112,6 +120,8 @@ def candidate_at(data: bytes, start: int, end: int, protocols: int) -> tuple[int
         return sbf_candidate(data, start, end), _SBF
     if head == 36 and protocols & 1 << _NMEA:
         return nmea_candidate(data, start, end), _NMEA
+    if head == 0xAA and protocols & 1 << _NOVATEL and (start + 3 > end or data[start + 2] != UNICORE_THIRD):
+        return novatel_candidate(data, start, end), _NOVATEL
     if head == 0xAA and protocols & 1 << _UNICORE:
         return unicore_candidate(data, start, end), _UNICORE
     if head == 35 and protocols & (1 << _UNICORE | 1 << _NOVATEL):
@@ -239,6 +249,5 @@ def _numbered_kind(number: int, key: int) -> str:
     """Return the kind of a message that has a number."""
     if number == _UBX:
         return f"{key >> 8:02x}-{key & 255:02x}"
-    if number == _UNICORE and key in UNICORE_LOGS:
-        return f"{UNICORE_LOGS[key]}B"
-    return str(key)
+    names = {_UNICORE: UNICORE_LOGS, _NOVATEL: NOVATEL_LOGS}.get(number, {})
+    return f"{names[key]}B" if key in names else str(key)

@@ -1,7 +1,7 @@
 """Candidates for frames of Unicore N4 receivers, and of ASCII logs of NovAtel's form (Unicore N4 commands manual R1.13, 7.1).
 
-Binary: AA 44 B5, a header of 24 bytes, payload, CRC-32. ASCII: ``#NAME,header;body*crc32`` and the replies to commands,
-``#NAME,...*hh`` with an exclusive or of all characters, the ``#`` included.
+Binary: AA 44 B5, a header of 24 bytes, payload, CRC-32 (NovAtel's: ``framing_novatel``). ASCII: ``#NAME,header;body*crc32`` and the
+replies to commands, ``#NAME,...*hh`` with an exclusive or of all characters, the ``#`` included.
 """
 
 from typing import Final
@@ -10,12 +10,13 @@ from rtkmesh._jit import kernel
 from rtkmesh.codecs.candidates import BAD_CHECKSUM, NEEDS_MORE, NO_FRAME, hex_value
 from rtkmesh.codecs.checksums import crc32_range
 
+UNICORE_THIRD: Final = 0xB5  # third byte
 UNICORE_HEADER: Final = 24
 UNICORE_OVERHEAD: Final = UNICORE_HEADER + 4
 UNICORE_MAX_PAYLOAD: Final = 16384  # 409 measurements of OBSVM; bounds the wait for a false header
 ASCII_LOG_MAX_LENGTH: Final = 32768  # 400 measurements of OBSVMA
 _MAX_NAME: Final = 24
-_COMMA, _STAR, _HASH, _CR, _LF = 44, 42, 35, 13, 10
+_COMMA, _STAR, _HASH, _CR, _LF, _UNDERSCORE = 44, 42, 35, 13, 10, 95
 
 # Numbers of logs (R1.13, 7.3 to 7.5); those that are not here are counted by their number.
 UNICORE_LOGS: Final = {
@@ -33,14 +34,19 @@ def unicore_candidate(data: bytes, start: int, end: int) -> int:
     if start + 3 > end:
         known = start + 2 > end or data[start + 1] == 0x44
         return NEEDS_MORE if known else NO_FRAME
-    if data[start + 1] != 0x44 or data[start + 2] != 0xB5:
+    if data[start + 1] != 0x44 or data[start + 2] != UNICORE_THIRD:
         return NO_FRAME
     if start + 8 > end:
         return NEEDS_MORE
     payload = int(data[start + 6]) | int(data[start + 7]) << 8
     if payload > UNICORE_MAX_PAYLOAD:
         return NO_FRAME
-    stop = start + payload + UNICORE_OVERHEAD
+    return checked_log(data, start, start + payload + UNICORE_OVERHEAD, end)
+
+
+@kernel
+def checked_log(data: bytes, start: int, stop: int, end: int) -> int:
+    """Return the length of a binary log from ``start`` to ``stop`` by the CRC-32 of its last four bytes, or why it is none."""
     if stop > end:
         return NEEDS_MORE
     sent = int(data[stop - 4]) | int(data[stop - 3]) << 8 | int(data[stop - 2]) << 16 | int(data[stop - 1]) << 24
@@ -51,8 +57,8 @@ def unicore_candidate(data: bytes, start: int, end: int) -> int:
 def ascii_log_candidate(data: bytes, start: int, end: int) -> int:
     """Return the length of the ASCII log at ``start`` (its first byte is ``#``), or why there is none.
 
-    A name of upper case letters and digits, printable ASCII up to ``*``, eight digits of a CRC-32 or two of an exclusive or, CR LF (a lone
-    LF is accepted).
+    A name of upper case letters and digits (NovAtel's second antenna: ``RANGEA_1``), printable ASCII up to ``*``, eight digits of a CRC-32
+    or two of an exclusive or, CR LF (a lone LF is accepted).
     """
     position, in_name = start + 1, True
     while True:
@@ -68,7 +74,7 @@ def ascii_log_candidate(data: bytes, start: int, end: int) -> int:
         if in_name:
             if character == _COMMA and position > start + 1:
                 in_name = False
-            elif not (65 <= character <= 90 or 48 <= character <= 57) or position > start + _MAX_NAME:
+            elif not (65 <= character <= 90 or 48 <= character <= 57 or character == _UNDERSCORE) or position > start + _MAX_NAME:
                 return NO_FRAME
         position += 1
     return NO_FRAME if in_name else _ascii_log_end(data, start, position, end)

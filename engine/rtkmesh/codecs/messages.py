@@ -30,7 +30,7 @@ class Frame(NamedTuple):
     """One whole, checksum-verified frame as it came, header and checksum included.
 
     ``kind`` names the message: UBX ``"02-15"`` (class-id in hex), RTCM 3 ``"1077"``, NMEA ``"GNGGA"``,
-    Unicore ``"OBSVMB"`` (binary) and ``"OBSVMA"`` (ASCII), or the number of a binary log that has no name here,
+    Unicore and NovAtel ``"OBSVMB"`` (binary) and ``"OBSVMA"`` (ASCII), or the number of a binary log that has no name here,
     SBF the number of the block, ``"4027"``.
     """
 

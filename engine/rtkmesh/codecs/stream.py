@@ -20,6 +20,7 @@ import numpy as np
 from rtkmesh.codecs.framing import FRAMED, Framer
 from rtkmesh.codecs.messages import Decoder, DecodingCounters, Frame, FramingCounters, Message, Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
+from rtkmesh.codecs.novatel import NovatelDecoder
 from rtkmesh.codecs.option_stage import OptionStage
 from rtkmesh.codecs.rtcm3 import Rtcm3Decoder
 from rtkmesh.codecs.sbf import SbfDecoder
@@ -66,7 +67,7 @@ _TO_PREFERRED: Final = 3  # epochs of a raw protocol after which it is taken ins
 _TO_OTHER: Final = 30  # epochs of another protocol without one of the chosen one between after which that counts as gone
 _TELL_TIME_S: Final = 3600.0
 _KIND: Final = attrgetter("kind")
-_OF_SEVERAL_ANTENNAS: Final = (Protocol.UNICORE, Protocol.SBF)
+_OF_SEVERAL_ANTENNAS: Final = (Protocol.UNICORE, Protocol.NOVATEL, Protocol.SBF)
 _OTHER_SOURCE: Final = "of the other source"
 
 
@@ -145,6 +146,7 @@ class StreamDecoder:
             Protocol.RTCM3: self._rtcm3,
             Protocol.NMEA: NmeaDecoder(near),
             Protocol.UNICORE: UnicoreDecoder(antenna),
+            Protocol.NOVATEL: NovatelDecoder(antenna),
             Protocol.SBF: self._sbf,
         }
         self._is_main = antenna == MAIN_ANTENNA

@@ -1,6 +1,6 @@
 """Values to logs of Unicore N4 receivers, binary and ASCII: OBSVM, OBSVH, their compressed forms, ephemerides, BESTNAV, UNIHEADING."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import atan2, degrees, hypot, isfinite, isnan
 from struct import Struct
 from typing import Final
@@ -27,26 +27,25 @@ from rtkmesh.codecs.unicore_ephemeris import (
 )
 from rtkmesh.codecs.unicore_logs import POSITION_TYPE, SOLUTION_STATUS, Value
 from rtkmesh.codecs.unicore_observations import (
-    CN0_UNIT_DBHZ,
     CODE_LOCKED,
     DOPPLER_UNIT_HZ,
-    FULL,
     LEAST_CN0_DBHZ,
     LOCK_UNIT_S,
+    PARITY_KNOWN,
     PHASE_LOCKED,
     PHASE_UNIT_CYC,
     PSEUDORANGE_SIGMAS_M,
     RANGE_UNIT_M,
     SIGMA_STEP_CYC,
-    SIGMA_UNIT_CYC,
-    SIGMA_UNIT_M,
+    UNICORE,
+    Form,
 )
-from rtkmesh.codecs.unicore_signals import SATELLITES, SIGNALS
+from rtkmesh.codecs.unicore_signals import SATELLITES, SIGNAL_TYPES, SYSTEMS
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, NavigationMessage, ReceiverFix
 from rtkmesh.gnss.epoch import HALF_CYCLE, Epoch
 from rtkmesh.gnss.receiver import CarrierSolution, ReceiverHeading
-from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, MAX_SATELLITE, MAX_SIGNAL, QZSS, SATELLITES_PER_SYSTEM, signal_number
+from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, MAX_SATELLITE, MAX_SIGNAL, QZSS, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s
 
 _HEADER: Final = Struct("<3sBHHBBHIIBBH")
@@ -57,21 +56,27 @@ _TYPE_OF_FIX: Final = {1: "INS", 2: "SINGLE", 3: "SINGLE", 4: "PSRDIFF", 5: "NAR
 _TYPE_OF_SOLUTION: Final = {CarrierSolution.FLOAT: "NARROW_FLOAT", CarrierSolution.FIXED: "NARROW_INT"}
 
 
-def _tables() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return system and PRN by satellite (PRN 0: none), and signal type by system and signal (-1: none)."""
+def _satellites() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return system and PRN by satellite (PRN 0: none)."""
     systems, prns = np.zeros(MAX_SATELLITE, np.int64), np.zeros(MAX_SATELLITE, np.int64)
     for number, system, first, last, offset in reversed(SATELLITES):
         for prn in range(first, last + 1):
             satellite = system * SATELLITES_PER_SYSTEM + prn - offset
             systems[satellite], prns[satellite] = number, prn
-    kinds = np.full((max(SIGNALS) + 1, MAX_SIGNAL), -1, np.int64)
-    for number, codes in SIGNALS.items():
-        for kind, code in codes.items():
-            kinds[number, signal_number(code)] = kind
-    return systems, prns, kinds
+    return systems, prns
 
 
-_SYSTEM_OF, _PRN_OF, _KIND_OF = _tables()
+_SYSTEM_OF, _PRN_OF = _satellites()
+
+
+def _kinds(form: Form) -> NDArray[np.int64]:
+    """Return the signal type by system and signal, -1 where there is none."""
+    kinds = np.full((SYSTEMS, MAX_SIGNAL), -1, np.int64)
+    for number in range(SYSTEMS):
+        for kind in reversed(range(SIGNAL_TYPES)):
+            kinds[number, form.signals[number, kind]] = kind
+    kinds[:, 0] = -1
+    return kinds
 
 
 def binary_log(name: str, time: GpsTime, body: bytes) -> bytes:
@@ -91,7 +96,7 @@ def ascii_log(name: str, time: GpsTime, body: str) -> bytes:
 def encode_observations(epoch: Epoch, name: str = "OBSVM") -> bytes:
     """Return OBSVM or OBSVH of an epoch; signals that Unicore has no number for are left out, as are phases with half cycles open."""
     rows = observation_rows(epoch)
-    return binary_log(name, epoch.time, len(rows).to_bytes(4, "little") + rows.tobytes())
+    return binary_log(name, epoch.time, counted([row.tobytes() for row in rows]))
 
 
 def encode_observations_ascii(epoch: Epoch, name: str = "OBSVM") -> bytes:
@@ -107,8 +112,7 @@ def encode_observations_ascii(epoch: Epoch, name: str = "OBSVM") -> bytes:
 
 def encode_compressed(epoch: Epoch, name: str = "OBSVMCMP") -> bytes:
     """Return OBSVMCMP or OBSVHCMP of an epoch."""
-    rows = compressed_rows(epoch)
-    return binary_log(name, epoch.time, len(rows).to_bytes(4, "little") + b"".join(rows))
+    return binary_log(name, epoch.time, counted(compressed_rows(epoch)))
 
 
 def encode_compressed_ascii(epoch: Epoch, name: str = "OBSVMCMP") -> bytes:
@@ -117,42 +121,52 @@ def encode_compressed_ascii(epoch: Epoch, name: str = "OBSVMCMP") -> bytes:
     return ascii_log(name, epoch.time, ",".join([str(len(rows)), *(row.hex() for row in rows)]))
 
 
-def observation_rows(epoch: Epoch) -> NDArray[np.void]:
-    """Return the rows of FULL of an epoch."""
+def observation_rows(epoch: Epoch, form: Form = UNICORE) -> NDArray[np.void]:
+    """Return the rows of full measurements of an epoch."""
     system = _SYSTEM_OF[epoch.satellite]
-    kind = _KIND_OF[system, epoch.signal]
+    kind = _kinds(form)[system, epoch.signal]
     kept = np.flatnonzero((_PRN_OF[epoch.satellite] > 0) & (kind >= 0))
-    rows = np.zeros(len(kept), FULL)
+    rows = np.zeros(len(kept), form.rows)
     code, phase, satellite = epoch.pseudorange_m[kept], epoch.phase_cyc[kept], epoch.satellite[kept]
-    tracked = np.isfinite(phase) & (epoch.flags[kept] & HALF_CYCLE == 0)
+    known = epoch.flags[kept] & HALF_CYCLE == 0
+    tracked = np.isfinite(phase) & (known | form.tells_parity)
     glonass = satellite // SATELLITES_PER_SYSTEM == GLONASS
     rows["frequency"], rows["prn"] = np.where(glonass, epoch.channel[kept] + CHANNEL_OFFSET, 0), _PRN_OF[satellite]
     rows["pseudorange_m"], rows["range_cyc"] = np.nan_to_num(code), np.where(tracked, -np.nan_to_num(phase), 0.0)
-    rows["pseudorange_sigma"] = np.clip(np.rint(np.nan_to_num(epoch.pseudorange_sigma_m[kept]) / SIGMA_UNIT_M), 0, 65535)
-    rows["phase_sigma"] = np.clip(np.rint(np.nan_to_num(epoch.phase_sigma_cyc[kept]) / SIGMA_UNIT_CYC), 0, 65535)
     rows["doppler_hz"], rows["lock_s"] = np.nan_to_num(epoch.doppler_hz[kept]), np.nan_to_num(epoch.lock_s[kept])
-    rows["cn0"] = np.rint(np.nan_to_num(epoch.cn0_dbhz[kept]) / CN0_UNIT_DBHZ)
+    _put_in_units(rows, "pseudorange_sigma", epoch.pseudorange_sigma_m[kept], form.units.pseudorange_sigma_m)
+    _put_in_units(rows, "phase_sigma", epoch.phase_sigma_cyc[kept], form.units.phase_sigma_cyc)
+    _put_in_units(rows, "cn0", epoch.cn0_dbhz[kept], form.units.cn0_dbhz)
     rows["status"] = (
-        system[kept] << 16 | kind[kept] << 21 | np.where(tracked, PHASE_LOCKED, 0) | np.where(np.isfinite(code), CODE_LOCKED, 0)
+        system[kept] << 16
+        | kind[kept] << 21
+        | np.where(tracked, PHASE_LOCKED, 0)
+        | np.where(np.isfinite(code), CODE_LOCKED, 0)
+        | np.where(known & form.tells_parity, PARITY_KNOWN, 0)
     )
     return rows
 
 
-def compressed_rows(epoch: Epoch) -> list[bytes]:
+def _put_in_units(rows: NDArray[np.void], name: str, values: NDArray[np.float64], unit: float) -> None:
+    scaled = np.nan_to_num(values) / unit
+    rows[name] = np.clip(np.rint(scaled), 0, 65535) if rows[name].dtype.kind == "u" else scaled
+
+
+def compressed_rows(epoch: Epoch, form: Form = UNICORE) -> list[bytes]:
     """Return the rows of 24 bytes of an epoch."""
-    return [_compressed(row) for row in observation_rows(epoch)]
+    return [_compressed(row, form) for row in observation_rows(epoch, form)]
 
 
-def _compressed(row: np.void) -> bytes:
+def _compressed(row: np.void, form: Form) -> bytes:
     """Return the fields of a row, the first one in the lowest bits."""
-    sigma_m = float(row["pseudorange_sigma"]) * SIGMA_UNIT_M
+    sigma_m, sigma_cyc = float(row["pseudorange_sigma"]) * form.units.pseudorange_sigma_m, row["phase_sigma"] * form.units.phase_sigma_cyc
     fields = (
         (int(row["status"]), 32), (round(float(row["doppler_hz"]) / DOPPLER_UNIT_HZ), 28),
         (round(float(row["pseudorange_m"]) / RANGE_UNIT_M), 36),
         (round(float(row["range_cyc"]) / PHASE_UNIT_CYC), 32), (min(int(np.searchsorted(PSEUDORANGE_SIGMAS_M, sigma_m - 1e-9)), 15), 4),
-        (min(max(round(float(row["phase_sigma"]) * SIGMA_UNIT_CYC / SIGMA_STEP_CYC) - 1, 0), 15), 4), (int(row["prn"]), 8),
+        (min(max(round(float(sigma_cyc) / SIGMA_STEP_CYC) - 1, 0), 15), 4), (int(row["prn"]), 8),
         (min(round(float(row["lock_s"]) / LOCK_UNIT_S), (1 << 21) - 1), 21),
-        (min(max(round(float(row["cn0"]) * CN0_UNIT_DBHZ - LEAST_CN0_DBHZ), 0), 31), 5), (int(row["frequency"]), 6), (0, 16),
+        (min(max(round(float(row["cn0"]) * form.units.cn0_dbhz - LEAST_CN0_DBHZ), 0), 31), 5), (int(row["frequency"]), 6), (0, 16),
     )  # fmt: skip
     value, shift = 0, 0
     for number, bits in fields:
@@ -161,24 +175,35 @@ def _compressed(row: np.void) -> bytes:
     return value.to_bytes(shift // 8, "little")
 
 
+def counted(rows: Sequence[bytes]) -> bytes:
+    """Return rows behind their number."""
+    return len(rows).to_bytes(4, "little") + b"".join(rows)
+
+
 def ephemeris_fields(ephemeris: Ephemeris) -> tuple[str, tuple[Value, ...]]:
     """Return name and fields of an ephemeris' log; ValueError for messages that have none."""
     if isinstance(ephemeris, GlonassEphemeris):
         name, values = "GLOEPH", _glonass_values(ephemeris)
     elif ephemeris.satellite // SATELLITES_PER_SYSTEM == GALILEO:
-        name, values = "GALEPH", _galileo_values(ephemeris)
+        name, values = "GALEPH", galileo_values(ephemeris)
     else:
         system = ephemeris.satellite // SATELLITES_PER_SYSTEM
-        name, values = {BEIDOU: "BDSEPH", QZSS: "QZSSEPH"}.get(system, "GPSEPH"), _kepler_values(ephemeris)
+        name, values = {BEIDOU: "BDSEPH", QZSS: "QZSSEPH"}.get(system, "GPSEPH"), kepler_values(ephemeris)
     names = {"GLOEPH": GLONASS_NAMES, "GALEPH": GALILEO_NAMES, "BDSEPH": BEIDOU_NAMES}.get(name, GPS_NAMES)
     return name, tuple(values.get(field, getattr(ephemeris, field, 0)) for field in names)
 
 
 def encode_ephemeris(ephemeris: Ephemeris, sent: GpsTime) -> bytes:
     """Return the binary log of an ephemeris as of the time at which the receiver sends it."""
+    name, body = encoded_ephemeris(ephemeris)
+    return binary_log(name, sent, body)
+
+
+def encoded_ephemeris(ephemeris: Ephemeris) -> tuple[str, bytes]:
+    """Return name and body of an ephemeris' binary log; ValueError for messages that have none."""
     name, values = ephemeris_fields(ephemeris)
     fields = {"GLOEPH": GLONASS_FIELDS, "GALEPH": GALILEO_FIELDS, "BDSEPH": BEIDOU_FIELDS}.get(name, GPS_FIELDS)
-    return binary_log(name, sent, fields.pack(*values))
+    return name, fields.pack(*values)
 
 
 def encode_ephemeris_ascii(ephemeris: Ephemeris, sent: GpsTime) -> bytes:
@@ -187,7 +212,8 @@ def encode_ephemeris_ascii(ephemeris: Ephemeris, sent: GpsTime) -> bytes:
     return ascii_log(name, sent, ",".join(f"{value:.17g}" if isinstance(value, float) else str(value) for value in values))
 
 
-def _kepler_values(e: KeplerEphemeris) -> dict[str, Value]:
+def kepler_values(e: KeplerEphemeris) -> dict[str, Value]:
+    """Return the values of GPSEPH, QZSSEPH and BDSEPH that have another form in an ephemeris."""
     system, number = divmod(e.satellite, SATELLITES_PER_SYSTEM)
     shift_s = BDT_MINUS_GPST_S if system == BEIDOU else 0.0
     toe, toc = e.toe + shift_s, e.toc + shift_s
@@ -199,7 +225,8 @@ def _kepler_values(e: KeplerEphemeris) -> dict[str, Value]:
     }  # fmt: skip
 
 
-def _galileo_values(e: KeplerEphemeris) -> dict[str, Value]:
+def galileo_values(e: KeplerEphemeris) -> dict[str, Value]:
+    """Return the values of GALEPH that have another form in an ephemeris."""
     inav = e.message is NavigationMessage.INAV
     name, other = ("inav", "fnav") if inav else ("fnav", "inav")
     clock: Mapping[str, Value] = {"toc_s": int(e.toc.tow_s), "af0_s": e.af0_s, "af1": e.af1, "af2": e.af2}
@@ -226,40 +253,41 @@ def _glonass_values(e: GlonassEphemeris) -> dict[str, Value]:
 
 def encode_position(fix: ReceiverFix, name: str = "BESTNAV") -> bytes:
     """Return BESTNAV or BESTNAVH of a fix, whose time must be known; heights are told above the ellipsoid (no undulation)."""
-    if fix.time is None:
-        raise ValueError(f"{name} needs a time")
-    kind, status = _TYPE_OF_FIX.get(fix.fix, "NONE"), "SOL_COMPUTED" if fix.fix else "INSUFFICIENT_OBS"
-    sigma_m = fix.horizontal_sigma_m / 2.0**0.5
-    place = (degrees(fix.lat_rad), degrees(fix.lon_rad), fix.height_m, 0.0, 61, sigma_m, sigma_m, fix.vertical_sigma_m)
     north, east, down = fix.velocity_ned_mps or (0.0, 0.0, 0.0)
     moving = ("SOL_COMPUTED", "DOPPLER_VELOCITY") if fix.velocity_ned_mps else ("INSUFFICIENT_OBS", "NONE")
     speed = (0.0, 0.0, hypot(north, east), degrees(atan2(east, north)) % 360.0, -down, 0.02, 0.02)
+    values = (*position_values(fix), SOLUTION_STATUS[moving[0]], POSITION_TYPE[moving[1]], *speed)
+    return binary_log(name, time_of(fix, name), BESTNAV.pack(*values))
+
+
+def time_of(report: ReceiverFix | ReceiverHeading, name: str) -> GpsTime:
+    """Return the time of what a log says; ValueError where it is not known."""
+    if report.time is None:
+        raise ValueError(f"{name} needs a time")
+    return report.time
+
+
+def position_values(fix: ReceiverFix) -> tuple[Value, ...]:
+    """Return the values of BESTPOS, with which BESTNAV begins."""
+    kind, status = _TYPE_OF_FIX.get(fix.fix, "NONE"), "SOL_COMPUTED" if fix.fix else "INSUFFICIENT_OBS"
+    sigma_m = fix.horizontal_sigma_m / 2.0**0.5
+    place = (degrees(fix.lat_rad), degrees(fix.lon_rad), fix.height_m, 0.0, 61, sigma_m, sigma_m, fix.vertical_sigma_m)
     known = tuple(0.0 if isnan(value) else value for value in place)
     counts = (fix.satellites, fix.satellites, 0, 0, 0, 0, 0, 0)
-    body = BESTNAV.pack(
-        SOLUTION_STATUS[status],
-        POSITION_TYPE[kind],
-        *known,
-        "0",
-        0.0,
-        0.0,
-        *counts,
-        SOLUTION_STATUS[moving[0]],
-        POSITION_TYPE[moving[1]],
-        *speed,
-    )
-    return binary_log(name, fix.time, body)
+    return (SOLUTION_STATUS[status], POSITION_TYPE[kind], *known, "0", 0.0, 0.0, *counts)
 
 
 def encode_heading(heading: ReceiverHeading) -> bytes:
     """Return UNIHEADING of a heading, whose time must be known."""
-    if heading.time is None:
-        raise ValueError("UNIHEADING needs a time")
+    return binary_log("UNIHEADING", time_of(heading, "UNIHEADING"), UNIHEADING.pack(*heading_values(heading, heading.station)))
+
+
+def heading_values(heading: ReceiverHeading, *stations: str) -> tuple[Value, ...]:
+    """Return the values of UNIHEADING, HEADING and (with two stations) HEADING2."""
     kind = _TYPE_OF_SOLUTION.get(heading.solution or CarrierSolution.NONE, "NONE") if heading.valid else "NONE"
     status = "SOL_COMPUTED" if heading.valid else "INSUFFICIENT_OBS"
     angles = (heading.heading_rad, heading.pitch_rad, 0.0, heading.heading_sigma_rad, heading.pitch_sigma_rad)
     numbers = (heading.length_m, *(degrees(angle) for angle in angles))
     known = tuple(value if isfinite(value) else 0.0 for value in numbers)
     used = heading.satellites or 0
-    body = UNIHEADING.pack(SOLUTION_STATUS[status], POSITION_TYPE[kind], *known, heading.station, used, used, used, used, 0, 0, 0, 0)
-    return binary_log("UNIHEADING", heading.time, body)
+    return (SOLUTION_STATUS[status], POSITION_TYPE[kind], *known, *stations, used, used, used, used, 0, 0, 0, 0)

@@ -3,34 +3,35 @@
 Weeks are settled by the time of the log's header, which says when the receiver sent it. User range accuracies are variances.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import hypot, isfinite, sqrt
 from typing import Final
 
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, SISA_M, accuracy_m
 from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, QZSS_FIT_S, kepler_ephemeris
+from rtkmesh.codecs.messages import Message
 from rtkmesh.codecs.unicore_logs import Fields, Log
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, SECONDS_PER_DAY, SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime, nearest_week
 
-_ORBIT: Final = (
+ORBIT: Final = (
     "delta_n_radps", "m0_rad", "eccentricity", "omega_rad", "cuc_rad", "cus_rad", "crc_m", "crs_m", "cic_rad", "cis_rad", "i0_rad",
     "idot_radps", "omega0_rad", "omega_dot_radps",
 )  # fmt: skip
-_CLOCK: Final = ("af0_s", "af1", "af2")
-_FIRST: Final = ("prn", "sent_s", "health", "iode", "iode2", "week", "sent_week", "toe_s", "semi_major_m", *_ORBIT, "iodc", "toc_s")
-_LAST: Final = (*_CLOCK, "anti_spoofing", "mean_motion_radps", "variance_m2")
+CLOCK: Final = ("af0_s", "af1", "af2")
+_FIRST: Final = ("prn", "sent_s", "health", "iode", "iode2", "week", "sent_week", "toe_s", "semi_major_m", *ORBIT, "iodc", "toc_s")
+_LAST: Final = (*CLOCK, "anti_spoofing", "mean_motion_radps", "variance_m2")
 _VECTORS: Final = ("position", "velocity", "acceleration")
-_FIRST_LAYOUT, _LAST_LAYOUT = "IdIIIIIdd" + "d" * len(_ORBIT) + "Id", "dddIdd"
+_FIRST_LAYOUT, _LAST_LAYOUT = "IdIIIIIdd" + "d" * len(ORBIT) + "Id", "dddIdd"
 
 GPS_NAMES: Final = (*_FIRST, "tgd_s", *_LAST)
 BEIDOU_NAMES: Final = (*_FIRST, "tgd1_s", "tgd2_s", *_LAST)
 GALILEO_NAMES: Final = (
     "prn", "fnav", "inav", "health_e1b", "health_e5a", "health_e5b", "invalid_e1b", "invalid_e5a", "invalid_e5b", "sisa", "reserved",
-    "iode", "toe_s", "sqrt_a", *_ORBIT, "fnav_toc_s", *(f"fnav_{name}" for name in _CLOCK), "inav_toc_s",
-    *(f"inav_{name}" for name in _CLOCK), "bgd_e5a_s", "bgd_e5b_s",
+    "iode", "toe_s", "sqrt_a", *ORBIT, "fnav_toc_s", *(f"fnav_{name}" for name in CLOCK), "inav_toc_s",
+    *(f"inav_{name}" for name in CLOCK), "bgd_e5a_s", "bgd_e5b_s",
 )  # fmt: skip
 GLONASS_NAMES: Final = (
     "slot", "frequency", "kind", "reserved", "week", "toe_ms", "leap_s", "day", "reserved1", "reserved2", "issue", "health",
@@ -38,19 +39,20 @@ GLONASS_NAMES: Final = (
 )  # fmt: skip
 GPS_FIELDS: Final = Fields(f"{_FIRST_LAYOUT}d{_LAST_LAYOUT}")
 BEIDOU_FIELDS: Final = Fields(f"{_FIRST_LAYOUT}dd{_LAST_LAYOUT}")
-GALILEO_FIELDS: Final = Fields("IIIBBBBBBBBIId" + "d" * len(_ORBIT) + "IdddIddddd")
+GALILEO_FIELDS: Final = Fields("IIIBBBBBBBBIId" + "d" * len(ORBIT) + "IdddIddddd")
 GLONASS_FIELDS: Final = Fields("HHBBHIIHBBII" + "d" * 12 + "IIIII")
 
 GLONASS_SLOT_OFFSET, QZSS_PRN_OFFSET, CHANNEL_OFFSET = 37, 192, 7
 _BAD_HEALTH: Final = 4  # GLONASS Bn: 4 and more are bad
 
-Found = list[Ephemeris] | str
 Values = dict[str, float]
+Build = Callable[[Values, GpsTime], list[Ephemeris | None]]
+Reader = tuple[tuple[str, ...], Fields, Build]  # names of the fields, how they are read, what they become
 
 
-def read_ephemeris(log: Log) -> Found:
-    """Return what an ephemeris log says, or why it is rejected."""
-    names, fields, build = READERS[log.name]
+def read_ephemeris(log: Log, readers: Mapping[str, Reader]) -> list[Message] | str:
+    """Return what an ephemeris log says by the reader of its name, or why it is rejected."""
+    names, fields, build = readers[log.name]
     values = fields.read(log)
     if values is None:
         return "length"
@@ -59,22 +61,22 @@ def read_ephemeris(log: Log) -> Found:
     numbers: Values = {name: value for name, value in zip(names, values, strict=True) if not isinstance(value, str)}
     if not all(isfinite(number) for number in numbers.values()):
         return "value"
-    found = [ephemeris for ephemeris in build(numbers, log.time) if ephemeris is not None]
+    found: list[Message] = [ephemeris for ephemeris in build(numbers, log.time) if ephemeris is not None]
     return found or "orbit"
 
 
-def _satellite(system: int, number: float, last: int) -> int:
+def satellite_of(system: int, number: float, last: int) -> int:
     """Return a satellite's number, 0 where there is none."""
     return system * SATELLITES_PER_SYSTEM + int(number) if 1 <= number <= last else 0
 
 
 def _gps(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
-    return _like_gps(_satellite(GPS, v["prn"], 32), v, sent, GPS_FIT_S)
+    return _like_gps(satellite_of(GPS, v["prn"], 32), v, sent, GPS_FIT_S)
 
 
 def _qzss(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
     number = v["prn"] - QZSS_PRN_OFFSET if v["prn"] > QZSS_PRN_OFFSET else v["prn"]
-    return _like_gps(_satellite(QZSS, number, 10), v, sent, QZSS_FIT_S)
+    return _like_gps(satellite_of(QZSS, number, 10), v, sent, QZSS_FIT_S)
 
 
 def _like_gps(satellite: int, v: Values, sent: GpsTime, fit_s: float) -> list[Ephemeris | None]:
@@ -82,10 +84,15 @@ def _like_gps(satellite: int, v: Values, sent: GpsTime, fit_s: float) -> list[Ep
     return [_kepler(satellite, NavigationMessage.LNAV, v, sent, (v["iode"], v["iodc"]), fit_s, health, (v["tgd_s"], 0.0))]
 
 
+def beidou_message(prn: float) -> NavigationMessage:
+    """Return the message that a BeiDou satellite sends on B1I: D2 if it is geostationary."""
+    return NavigationMessage.D2 if prn <= 5 or prn >= 59 else NavigationMessage.D1
+
+
 def _beidou(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
     """Times of week are BDT."""
-    satellite = _satellite(BEIDOU, v["prn"], 63)
-    message = NavigationMessage.D2 if v["prn"] <= 5 or v["prn"] >= 59 else NavigationMessage.D1
+    satellite = satellite_of(BEIDOU, v["prn"], 63)
+    message = beidou_message(v["prn"])
     v = {**v, "toe_s": v["toe_s"] - BDT_MINUS_GPST_S, "toc_s": v["toc_s"] - BDT_MINUS_GPST_S}
     delays_s = v["tgd1_s"], v["tgd2_s"]
     return [_kepler(satellite, message, v, sent, (v["iode"], v["iodc"]), BEIDOU_FIT_S, int(v["health"]), delays_s)]
@@ -104,7 +111,7 @@ def _kepler(
     )  # fmt: skip
 
 
-def _galileo(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
+def galileo(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
     """Return I/NAV and F/NAV, whichever was received; they share orbit and issue. Health bits stand as in RINEX 3.05 table A8."""
     e1b, e5b = int(v["health_e1b"]) & 3, int(v["health_e5b"]) & 3
     inav = (int(v["invalid_e1b"]) & 1) | e1b << 1 | (int(v["invalid_e5b"]) & 1) << 6 | e5b << 7
@@ -118,10 +125,10 @@ def _galileo(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
 def _galileo_message(
     name: str, message: NavigationMessage, v: Values, sent: GpsTime, health: int, delays_s: tuple[float, float]
 ) -> Ephemeris | None:
-    satellite, issue = _satellite(GALILEO, v["prn"], 36), int(v["iode"])
+    satellite, issue = satellite_of(GALILEO, v["prn"], 36), int(v["iode"])
     if satellite == 0 or not int(v[name]) & 1:
         return None
-    v = {**v, "toc_s": v[f"{name}_toc_s"], **{part: v[f"{name}_{part}"] for part in _CLOCK}}
+    v = {**v, "toc_s": v[f"{name}_toc_s"], **{part: v[f"{name}_{part}"] for part in CLOCK}}
     return kepler_ephemeris(
         satellite, message, v, sent, (issue, issue), GALILEO_FIT_S, accuracy_m=accuracy_m(SISA_M, int(v["sisa"])), health=health,
         delays_s=delays_s,
@@ -129,7 +136,7 @@ def _galileo_message(
 
 
 def _glonass(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
-    satellite = _satellite(GLONASS, v["slot"] - GLONASS_SLOT_OFFSET, 27)
+    satellite = satellite_of(GLONASS, v["slot"] - GLONASS_SLOT_OFFSET, 27)
     position, velocity, acceleration = ((v[f"{kind}_x"], v[f"{kind}_y"], v[f"{kind}_z"]) for kind in _VECTORS)
     toe_s = round(v["toe_ms"] / 1e3)
     if satellite == 0 or v["week"] == 0 or toe_s >= SECONDS_PER_WEEK or not 25.1e6 < hypot(*position) < 25.9e6:
@@ -149,11 +156,10 @@ def _frame_start(v: Values, toe: GpsTime) -> GpsTime:
     return toe + (late_s - SECONDS_PER_DAY * round(late_s / SECONDS_PER_DAY))
 
 
-_Build = Callable[[Values, GpsTime], list[Ephemeris | None]]
-READERS: Final[dict[str, tuple[tuple[str, ...], Fields, _Build]]] = {
+READERS: Final[dict[str, Reader]] = {
     "GPSEPH": (GPS_NAMES, GPS_FIELDS, _gps),
     "QZSSEPH": (GPS_NAMES, GPS_FIELDS, _qzss),
     "BDSEPH": (BEIDOU_NAMES, BEIDOU_FIELDS, _beidou),
-    "GALEPH": (GALILEO_NAMES, GALILEO_FIELDS, _galileo),
+    "GALEPH": (GALILEO_NAMES, GALILEO_FIELDS, galileo),
     "GLOEPH": (GLONASS_NAMES, GLONASS_FIELDS, _glonass),
 }

@@ -1,5 +1,6 @@
 """Satellites and signals as Unicore N4 receivers number them (Unicore N4 commands manual R1.13, OBSVM: channel tracking status)."""
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -39,10 +40,10 @@ def _satellite_table() -> NDArray[np.int16]:
     return table
 
 
-def _signal_table() -> NDArray[np.int16]:
+def signal_table(signals: Mapping[int, Mapping[int, str]]) -> NDArray[np.int16]:
     """Return signal numbers by system and signal type, 0 where there is none."""
     table = np.zeros((SYSTEMS, SIGNAL_TYPES), np.int16)
-    for number, codes in SIGNALS.items():
+    for number, codes in signals.items():
         for kind, code in codes.items():
             table[number, kind] = signal_number(code)
             if kind < L2C_FLAG and kind | L2C_FLAG not in codes:
@@ -51,5 +52,5 @@ def _signal_table() -> NDArray[np.int16]:
 
 
 SATELLITE_OF = _satellite_table()
-SIGNAL_OF = _signal_table()
+SIGNAL_OF = signal_table(SIGNALS)
 L1S_SIGNAL: Final = signal_number(_L1S)

@@ -50,6 +50,9 @@ class Request:
     date: Annotated[
         str | None, Parameter(help="Day on which RTCM 3 logs begin, YYYY-MM-DD: they carry no date. Not needed beside a dated recording.")
     ] = None
+    receiver_options: Annotated[
+        str, Parameter(allow_leading_hyphen=True, help="RTKLIB's receiver options for the logs (convbin's -ro): \"-TADJ=0.1 -GL2L\".")
+    ] = ""
     msm: Annotated[Literal[4, 5, 7], Parameter(help="Type of RTCM 3 observation messages.")] = 7
     station_id: Annotated[int, Parameter(help="Station number of RTCM 3 messages, 0 to 4095.")] = 0
     marker: Annotated[str, Parameter(help="Name of the marker in RINEX files. Default: the name of the file.")] = ""
@@ -80,7 +83,7 @@ def convert(
     check_free(paths, inputs, force=request.force)
     start, end = (_instant(flag, text) if text else None for flag, text in (("--start", request.start), ("--end", request.end)))
     with ExitStack() as stack:
-        recordings = open_recordings(inputs, day_of(request.date) if request.date else None)
+        recordings = open_recordings(inputs, day_of(request.date) if request.date else None, request.receiver_options)
         for recording in recordings:
             stack.callback(recording.close)
         conversion = Conversion(recordings, Selection(request.systems, request.interval, start, end), _writer(request, paths, inputs))

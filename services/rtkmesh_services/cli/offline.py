@@ -111,10 +111,10 @@ class Tally:
         }
 
 
-def open_inputs(rover: Path, base: Path | None, navigation: tuple[Path, ...], date: GpsTime | None) -> Inputs:
+def open_inputs(rover: Path, base: Path | None, navigation: tuple[Path, ...], date: GpsTime | None, receiver_options: str = "") -> Inputs:
     """Return the opened recordings. An RTCM 3 log without ``date`` takes it from the other receiver's recording, if that has one."""
     paths = [rover, *([base] if base else []), *navigation]
-    recordings = open_recordings(paths, date)
+    recordings = open_recordings(paths, date, receiver_options)
     for recording in recordings[: 1 + bool(base)]:
         if recording.kind in _WITHOUT_EPOCHS:
             for other in recordings:

@@ -90,6 +90,13 @@ class Request:
         str | None,
         Parameter(help="Day on which RTCM 3 logs begin, YYYY-MM-DD: they carry no date. Not needed beside a dated recording."),
     ] = None
+    receiver_options: Annotated[
+        str,
+        Parameter(
+            allow_leading_hyphen=True,
+            help='RTKLIB\'s receiver options for the logs of rover and base: "-TADJ=0.1 -GL2L".',
+        ),
+    ] = ""
     config: Annotated[
         Path | None, Parameter(help=r"TOML file with one solver: \[solver], or a deployment's one \[solver.NAME]; flags overrule it.")
     ] = None
@@ -135,7 +142,7 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     from rtkmesh_services.mapping.options import session_options
 
     date = day_of(request.date) if request.date else None
-    inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date)
+    inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date, request.receiver_options)
     options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
     run = Run(inputs, options, SolutionType(request.direction), causal=request.causal)
     try:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from math import degrees, isfinite
 from typing import Any
 
+from rtkmesh.gnss.ephemeris import ReferenceStation
 from rtkmesh.gnss.receiver import (
     AntennaState,
     CommandAnswer,
@@ -58,6 +59,12 @@ class ReceiverState:
         else:
             name, values = _summary(report)
             self._newest[name] = (mono_ns, values)
+
+    def take_setup(self, station: ReferenceStation, mono_ns: int) -> None:
+        """Remember what a Septentrio says that it is: name and firmware, which come with its antenna (ReceiverSetup)."""
+        if station.source == "sbf" and station.receiver:
+            model, _, software = station.receiver.rpartition(" ")
+            self._newest["receiver"] = (mono_ns, {"model": model, "software": software, "hardware": ""})
 
     def data(self, now_ns: int) -> dict[str, Any]:
         """Return what the status shows: of each report its age, of what is counted the counts."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message
 from rtkmesh.codecs.stream import StreamDecoder
-from rtkmesh.gnss.ephemeris import ReceiverFix
+from rtkmesh.gnss.ephemeris import ReceiverFix, ReferenceStation
 from rtkmesh.gnss.receiver import ReceiverReport
 from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.command import Reply, Request
@@ -261,6 +261,8 @@ class IngestService(Service):
         if isinstance(message, ReceiverReport):
             self._receiver.take(message, mono_ns, self.context.event)
         elif not isinstance(message, ReceiverFix):
+            if isinstance(message, ReferenceStation):
+                self._receiver.take_setup(message, mono_ns)
             self._publisher.message(message, mono_ns)
 
     def _report_link(self, report: LinkReport) -> None:
