@@ -19,7 +19,7 @@ EXIT_DONE, EXIT_NOT_DONE, EXIT_USAGE, EXIT_UNREACHABLE, EXIT_INTERRUPTED = 0, 1,
 
 # name -> (where, one line of help)
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
-    "solve": ("rtkmesh_services.cli.solve:app", "Solve recordings offline (RINEX, UBX, RTCM 3) and write RTKLIB's .pos format."),
+    "solve": ("rtkmesh_services.cli.solve:app", "Solve recordings offline, of any format that is read, and write RTKLIB's .pos format."),
     "convert": ("rtkmesh_services.cli.convert:app", "Convert recordings to RINEX, RTCM 3, JSON or CSV."),
     "demo": ("rtkmesh_services.cli.demo:app", "Run everything on simulated receivers, with the truth beside it."),
     "up": ("rtkmesh_services.cli.up:app", "Run all processes of a deployment file."),

@@ -120,8 +120,8 @@ class Request:
 def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     """Solve recordings offline, with the engine of the running system, and write RTKLIB's .pos format.
 
-    Recordings are RINEX 2 and 3 (also Hatanaka), UBX and RTCM 3 logs, or logs that mix these, plain or compressed; the kind is
-    found from the content. UBX and RTCM 3 logs bring their own navigation data. The defaults need no tuning.
+    Recordings are RINEX 2 and 3 (also Hatanaka), logs of UBX, SBF, Unicore, NovAtel and RTCM 3, or logs that mix these, plain or
+    compressed; the kind is found from the content. Logs bring their own navigation data. The defaults need no tuning.
 
     Exit codes: 0 solved, 1 not one epoch could be solved, 2 wrong usage or a file that cannot be read.
     """
