@@ -12,7 +12,8 @@ a level, not beyond the limit) and hazardous (available, and the error beyond th
 solutions.
 
 Simulated: the campaign's runs. The constants were fitted to seed 1; seeds 2 to 4 were seen while the rule above, the largest probability
-and the term for hidden satellites were settled; from 5 on seeds are fresh. Recorded: pairs with a known position, another engine's track,
+and the term for hidden satellites were settled; with 5 a look without the past at 9.5 km was found that held wrong integers for a run,
+and its odds were made to grow with the distance; from 7 on seeds are fresh. Recorded: pairs with a known position, another engine's track,
 or (†) their own mean fix; where antenna phase centres differ (*) the mean error of the right fixes is taken away. Floats of recordings are
 those of a solver without integers.
 """
@@ -360,7 +361,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, help="folder of the recordings")
     parser.add_argument("--runs", type=int, default=0, help=f"simulated, in all families together (default {RUNS})")
-    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--risk", type=float, default=IntegrityOptions().risk, help="per epoch, for the protection levels")
     parser.add_argument("--only", help="names of families and recordings, with commas between")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs, two recordings")
