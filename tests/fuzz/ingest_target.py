@@ -106,4 +106,4 @@ def published() -> Iterator[Wire]:
 
 def targets() -> list[Target]:
     """Return the target; its limit is that of a piece, which may end several frames and make a status."""
-    return [Target("ingest", pieces, _reader, 0.1, limit_s=0.010)]
+    return [Target("ingest", pieces, _reader, 0.1, limit_s=0.025)]  # 0.1 ms a frame; a piece may free a hundred that a false head held back

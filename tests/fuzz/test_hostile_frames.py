@@ -46,7 +46,7 @@ class Bad:
             sum(range(2_000_000))
 
     def grows(self, _: bytes) -> None:
-        self.kept.append(bytes(200_000))
+        self.kept.append(b"\x01" * 200_000)  # pages that were written to
 
 
 @pytest.mark.parametrize(("fault", "says"), [("raises", "IndexError: beyond"), ("hangs", "every time"), ("grows", "memory grew")])
