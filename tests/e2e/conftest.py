@@ -16,10 +16,15 @@ from typing import Any
 import pytest
 
 from rtkmesh_schemas.command import Reply
-from rtkmesh_services.runtime.bus import Bus
+from rtkmesh_schemas.keys import SOL, STATUS
+from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_schemas.status import ServiceStatus
+from rtkmesh_schemas.wire import decode
+from rtkmesh_services.runtime.bus import Bus, Sample
 from rtkmesh_services.runtime.calls import call
 from rtkmesh_services.runtime.zenoh_bus import open_bus
 
+FIX = 1
 POLL_S = 0.02  # other processes are polled: there is nothing of ours to wait on
 
 
@@ -49,6 +54,29 @@ class Deployment:
         if self._bus is None:
             self._bus = open_bus(f"test_{os.getpid()}", [self.endpoint], timeout_s=20.0)
         return self._bus
+
+    def statuses(self) -> dict[str, ServiceStatus]:
+        """Return the newest status of every process; what is returned goes on being filled."""
+        found: dict[str, ServiceStatus] = {}
+
+        def take(sample: Sample) -> None:
+            status = decode(ServiceStatus, sample.payload, sample.encoding)
+            found[status.id] = status
+
+        self.bus.subscribe(STATUS.key("*"), take, history=True)
+        return found
+
+    def fixes(self, solver: str) -> list[SolutionMessage]:
+        """Return the fixes of a solver from now on; what is returned goes on being filled."""
+        found: list[SolutionMessage] = []
+
+        def take(sample: Sample) -> None:
+            message = decode(SolutionMessage, sample.payload, sample.encoding)
+            if message.status == FIX:
+                found.append(message)
+
+        self.bus.subscribe(SOL.key(solver), take)
+        return found
 
     def ask(self, id_: str, op: str, **args: Any) -> Reply:
         return call(self.bus, id_, op, args, 5.0)[0]

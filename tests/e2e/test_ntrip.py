@@ -44,22 +44,9 @@ def test_a_rover_fixes_by_the_nearest_mount_point_of_our_caster(up: Callable[...
     """The rover's single solution finds the mount point, its frames bring the fix; the wrong password is said, the right one nowhere."""
     deployment = up(TEXT.format(caster=free), PASSWORD=SECRET)
     seen: list[bytes] = []
-    statuses: dict[str, ServiceStatus] = {}
-    fixed: list[SolutionMessage] = []
-
-    def take_status(sample: object) -> None:
-        status = decode(ServiceStatus, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
-        statuses[status.id] = status
-
-    def take_solution(sample: object) -> None:
-        message = decode(SolutionMessage, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
-        if message.status == FIX:
-            fixed.append(message)
-
     deployment.until(deployment.all_running, 280.0)  # the first time the kernels are compiled
     deployment.bus.subscribe("rtk/**", lambda sample: seen.append(sample.payload))
-    deployment.bus.subscribe(STATUS.key("*"), take_status, history=True)
-    deployment.bus.subscribe(SOL.key("rtk"), take_solution)
+    statuses, fixed = deployment.statuses(), deployment.fixes("rtk")
     deployment.until(lambda: len(fixed) > 10, 60.0)
     deployment.until(lambda: {"base", "caster", "stranger"} <= set(statuses), 10.0)
     assert statuses["base"].inputs[0].detail == f"ntrip://127.0.0.1:{free}/ROOF (HTTP/1.1)"

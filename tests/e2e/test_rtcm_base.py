@@ -8,13 +8,8 @@ from tests.e2e.conftest import Deployment
 
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.scenario import truth
-from rtkmesh_schemas.keys import SOL, STATUS
-from rtkmesh_schemas.solution import SolutionMessage
-from rtkmesh_schemas.status import ServiceStatus
-from rtkmesh_schemas.wire import decode
 
 pytestmark = pytest.mark.e2e
-FIX = 1
 TEXT = """
 [ingest.rover]
 source = "sim://static/rover"
@@ -44,20 +39,7 @@ def test_a_rover_fixes_by_the_frames_that_were_made_of_raw_data(up: Callable[...
     x, y, z = antennas["heading"].tolist()
     deployment = up(TEXT.format(port=free, x=x, y=y, z=z))
     deployment.until(deployment.all_running, 280.0)  # the first time the kernels are compiled
-    fixed: list[SolutionMessage] = []
-    statuses: dict[str, ServiceStatus] = {}
-
-    def take_status(sample: object) -> None:
-        status = decode(ServiceStatus, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
-        statuses[status.id] = status
-
-    def take_solution(sample: object) -> None:
-        message = decode(SolutionMessage, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
-        if message.status == FIX:
-            fixed.append(message)
-
-    deployment.bus.subscribe(STATUS.key("*"), take_status, history=True)
-    deployment.bus.subscribe(SOL.key("rtk"), take_solution)
+    statuses, fixed = deployment.statuses(), deployment.fixes("rtk")
     deployment.until(lambda: len(fixed) >= 10, 60.0)
     deployment.until(lambda: {"roof", "base"} <= set(statuses) and statuses["roof"].counters.get("made_caster_epochs", 0) > 5, 10.0)
     for solution in fixed:
