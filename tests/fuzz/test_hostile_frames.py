@@ -1,5 +1,6 @@
 """A million hostile pieces through everything that reads what others send (``make fuzz``: ten millions), and the table's own order."""
 
+import mmap
 import os
 
 import pytest
@@ -32,7 +33,7 @@ class Bad:
     """Readers that do what must not go unseen."""
 
     def __init__(self) -> None:
-        self.kept: list[bytes] = []
+        self.kept: list[mmap.mmap] = []
         self.taken = 0
 
     def raises(self, _: bytes) -> None:
@@ -46,7 +47,9 @@ class Bad:
             sum(range(2_000_000))
 
     def grows(self, _: bytes) -> None:
-        self.kept.append(b"\x01" * 200_000)  # pages that were written to
+        pages = mmap.mmap(-1, 1 << 18)  # pages of its own: an allocator may have freed memory to give
+        pages.write(b"\x01" * len(pages))
+        self.kept.append(pages)
 
 
 @pytest.mark.parametrize(("fault", "says"), [("raises", "IndexError: beyond"), ("hangs", "every time"), ("grows", "memory grew")])
