@@ -13,6 +13,7 @@ from rtkmesh_schemas.errors import BadKeyError
 
 ROOT: Final = "rtk"
 CONTROL_ID: Final = "control"
+HUB_ID: Final = "hub"
 ID: Final = re.compile(r"[a-z0-9_]{1,64}")
 # Second chunks that are no id of a process.
 RESERVED_IDS: Final = frozenset({"flockwave"})

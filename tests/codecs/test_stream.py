@@ -65,6 +65,19 @@ def test_a_clock_that_was_set_back_is_followed_after_some_epochs():
     assert found == [2400 * 604_800 + 100.0 + i for i in range(3)] + [2350 * 604_800 + 104.0 + i for i in range(4)]
 
 
+def test_a_sentence_that_is_named_like_a_number_of_ubx_is_a_sentence():
+    """`$02-13` is a whole NMEA frame whose kind reads as that of RXM-SFRBX; among subframes of UBX it is still none of them."""
+    body = b"\x02\x13\x08\x00" + bytes(8)
+    subframe = b"\xb5\x62" + body + fletcher16(np.frombuffer(body, np.uint8)).to_bytes(2, "little")
+    text = b"02-13,1"
+    sentence = b"$%b*%02X\r\n" % (text, np.bitwise_xor.reduce(np.frombuffer(text, np.uint8)))
+    decoder = StreamDecoder()
+    found = decoder.feed(subframe + sentence + subframe)
+    assert [frame.protocol for frame, _ in found] == [Protocol.UBX, Protocol.NMEA, Protocol.UBX]
+    assert decoder.decoding.ignored["nmea/02-13"] == 1
+    assert sum(count for name, count in (decoder.decoding.decoded + decoder.decoding.rejected).items() if name.startswith("ubx/02-13")) == 2
+
+
 def epoch_at(time: GpsTime) -> Epoch:
     return make_epoch(time, satellite=[1], signal=[28], phase_cyc=[1.0])
 

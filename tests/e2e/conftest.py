@@ -28,6 +28,12 @@ FIX = 1
 POLL_S = 0.02  # other processes are polled: there is nothing of ours to wait on
 
 
+@pytest.fixture(scope="session")
+def compiled() -> None:
+    """The kernels are compiled before the clock of a test runs."""
+    subprocess.run([sys.executable, "-m", "rtkmesh_services.cli.main", "warm"], check=True, capture_output=True, timeout=280)
+
+
 class Deployment:
     """A running ``rtkmesh up`` (or ``demo``): its JSON lines, a bus to it, its processes."""
 

@@ -3,8 +3,6 @@
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,15 +15,9 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.runtime.shipped import config_path
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.usefixtures("compiled")]
 IDS = ("rover", "rover2", "base", "rtk", "heading_rtk", "heading", "hub")
 FIX = 1
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled() -> None:
-    """The kernels are compiled before the clock of a test runs."""
-    subprocess.run([sys.executable, "-m", "rtkmesh_services.cli.main", "warm"], check=True, capture_output=True, timeout=280)
 
 
 class Fixes:

@@ -9,13 +9,7 @@ from pathlib import Path
 import pytest
 from tests.e2e.conftest import Deployment
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled() -> None:
-    """The kernels are compiled before the clock of a test runs."""
-    subprocess.run([sys.executable, "-m", "rtkmesh_services.cli.main", "warm"], check=True, capture_output=True, timeout=280)
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.usefixtures("compiled")]
 
 
 def test_demo_fixes_within_seconds_and_agrees_with_the_truth() -> None:

@@ -10,14 +10,8 @@ from pathlib import Path
 import pytest
 from tests.e2e.conftest import Deployment, free_besides
 
-from rtkmesh_schemas.keys import SOL, STATUS
-from rtkmesh_schemas.solution import SolutionMessage
-from rtkmesh_schemas.status import ServiceStatus
-from rtkmesh_schemas.wire import decode
-
 pytestmark = pytest.mark.e2e
 SECRET = "c4nary@/?#word"
-FIX = 1
 TEXT = """
 [ingest.rover]
 source = "sim://demo/rover"
@@ -94,23 +88,12 @@ def test_a_caster_that_dies_is_replaced_by_the_next_one_and_taken_again(up: Call
     """No fix is wrong meanwhile; the status says which source is used and why."""
     deployment = up(TWO_WAYS.format(first=free, second=other))
     deployment.until(deployment.all_running, 280.0)
-    fixed: list[SolutionMessage] = []
-    statuses: dict[str, ServiceStatus] = {}
-
-    def take_solution(sample: object) -> None:
-        message = decode(SolutionMessage, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
-        if message.status == FIX:
-            fixed.append(message)
-
-    def take_status(sample: object) -> None:
-        statuses["base"] = decode(ServiceStatus, sample.payload, sample.encoding)  # type: ignore[attr-defined]  a Sample
+    statuses, fixed = deployment.statuses(), deployment.fixes("rtk")
 
     def fixes(count: int) -> None:
         before = len(fixed)
         deployment.until(lambda: len(fixed) >= before + count, 60.0)
 
-    deployment.bus.subscribe(SOL.key("rtk"), take_solution)
-    deployment.bus.subscribe(STATUS.key("base"), take_status, history=True)
     fixes(10)
     assert deployment.ask("control", "stop", id="one").ok
     deployment.until(lambda: statuses["base"].data.get("source") == 1, 30.0)

@@ -1,8 +1,6 @@
 """One receiver with two antennas, one port and two ingests: heading by our own moving base, over real processes and Zenoh."""
 
 import queue
-import subprocess
-import sys
 from collections.abc import Callable
 from functools import partial
 from math import degrees, pi
@@ -18,13 +16,7 @@ from rtkmesh_schemas.observation import Observation
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.runtime.bus import Sample
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled() -> None:
-    """The kernels are compiled before the clock of the test runs."""
-    subprocess.run([sys.executable, "-m", "rtkmesh_services.cli.main", "warm"], check=True, capture_output=True, timeout=280)
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.usefixtures("compiled")]
 
 
 DEPLOYMENT = """

@@ -66,7 +66,8 @@ _NEW_TIMELINE: Final = 5  # so many rising epochs in the past mean that the cloc
 _TO_PREFERRED: Final = 3  # epochs of a raw protocol after which it is taken instead of RTCM 3
 _TO_OTHER: Final = 30  # epochs of another protocol without one of the chosen one between after which that counts as gone
 _TELL_TIME_S: Final = 3600.0
-_KIND: Final = attrgetter("kind")
+_KIND: Final = attrgetter("kind", "protocol")  # a sentence may be named like a number of UBX
+_SUBFRAMES: Final = (SFRBX, Protocol.UBX)
 _OF_SEVERAL_ANTENNAS: Final = (Protocol.UNICORE, Protocol.NOVATEL, Protocol.SBF)
 _OTHER_SOURCE: Final = "of the other source"
 
@@ -193,7 +194,7 @@ class StreamDecoder:
     def _decode_all(self, frames: list[Frame]) -> list[tuple[Frame, list[Message]]]:
         found: list[tuple[Frame, list[Message]]] = []
         for kind, same in groupby(frames, _KIND):
-            if kind == SFRBX:
+            if kind == _SUBFRAMES:
                 run = list(same)
                 lists = self._ubx.decode_subframes(run)
                 found += [(frame, self._pass_on(some, Protocol.UBX) if some else some) for frame, some in zip(run, lists, strict=True)]

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from rtkmesh_schemas.errors import ConfigError
-from rtkmesh_schemas.keys import Role
+from rtkmesh_schemas.keys import HUB_ID, Role
 from rtkmesh_services.cli.page import command_page
 
 
@@ -26,7 +26,7 @@ def run(
     70 an uncaught exception, 75 cut off because it did not end in time.
     """
     from rtkmesh_services.runtime.bus import Bus, endpoints_for
-    from rtkmesh_services.runtime.configuration import HUB_ID, load_site, require_id
+    from rtkmesh_services.runtime.configuration import load_site, require_id
     from rtkmesh_services.runtime.process import leave, run_service
 
     if role is Role.CONTROL:

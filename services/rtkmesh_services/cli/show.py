@@ -38,7 +38,7 @@ def schema(
 ) -> int:
     """Print the JSON Schema of a message or of the deployment file (Deployment)."""
     from rtkmesh_schemas.reference import SCHEMAS, json_schema_text, reference_pages
-    from rtkmesh_services.runtime.configuration import nearest
+    from rtkmesh_services.runtime.words import nearest
 
     if write is not None:
         for page, text in reference_pages().items():

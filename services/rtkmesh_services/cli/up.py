@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from rtkmesh_schemas.keys import CONTROL_ID, Role
+from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, Role
 from rtkmesh_services.cli.board import Board
 from rtkmesh_services.cli.check import url_errors
 from rtkmesh_services.cli.network import Json
@@ -24,7 +24,7 @@ from rtkmesh_services.control.service import ControlService, keeper_of
 from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.errors import BusError, UnreachableError
 from rtkmesh_services.runtime.bus import Bus, endpoints_for
-from rtkmesh_services.runtime.configuration import HUB_ID, ConfigErrors, Site, load_site
+from rtkmesh_services.runtime.configuration import ConfigErrors, Site, load_site
 from rtkmesh_services.runtime.process import leave, run_service
 from rtkmesh_services.runtime.service import Context, Service
 

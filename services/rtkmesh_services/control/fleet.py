@@ -10,8 +10,8 @@ from typing import Any, Final
 import msgspec
 
 from rtkmesh_schemas.config import Deployment
-from rtkmesh_schemas.keys import Role
-from rtkmesh_services.runtime.configuration import DATA_VARIABLE, HUB_ID
+from rtkmesh_schemas.keys import HUB_ID, Role
+from rtkmesh_services.runtime.configuration import DATA_VARIABLE
 
 ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"

@@ -13,12 +13,11 @@ from functools import partial
 from typing import Any, Final
 
 from rtkmesh_schemas.config import ControlTable
-from rtkmesh_schemas.keys import Role
+from rtkmesh_schemas.keys import HUB_ID, Role
 from rtkmesh_services.control.fleet import ProcessSpec, restarts_between
 from rtkmesh_services.control.forking import ForkServer
 from rtkmesh_services.control.process import Child, OutputLine, OutputLog, Started, start_program
 from rtkmesh_services.control.supervisor import Action, ProcessState, Supervisor, Verb
-from rtkmesh_services.runtime.configuration import HUB_ID
 
 _HUB_READY_S: Final = 5.0  # after this the others start even if the hub takes no connection: they retry on their own
 _POLL_S: Final = 0.1  # without pidfd

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Final
 from rtkmesh_schemas.command import Code, Reply, Request
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.errors import ConfigError, SchemaError
-from rtkmesh_schemas.keys import STATUS, Role
+from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
@@ -15,7 +15,7 @@ from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.runtime.bus import Sample
-from rtkmesh_services.runtime.configuration import HUB_ID, load_deployment
+from rtkmesh_services.runtime.configuration import load_deployment
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
 
 ALL: Final = frozenset({"all", "*"})

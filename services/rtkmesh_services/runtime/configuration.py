@@ -3,28 +3,26 @@
 ``${NAME}`` in a string is an environment variable (secrets belong there), ``{data}`` the folder of the recordings.
 """
 
-import difflib
 import hashlib
 import math
 import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeGuard, TypeVar
 
 import msgspec
 
-from rtkmesh.errors import OptionError
-from rtkmesh.gnss.receiver_options import parse_receiver_options
-from rtkmesh_schemas.config import Deployment, IngestTable, OutputTable, SolverTable
-from rtkmesh_schemas.errors import BadKeyError, ConfigError
-from rtkmesh_schemas.keys import CONTROL_ID, Role, check_id
+from rtkmesh_schemas.config import Deployment, SolverTable
+from rtkmesh_schemas.errors import ConfigError
+from rtkmesh_schemas.keys import Role
+from rtkmesh_services.runtime.deployment_checks import MULTIPLE, check_deployment
 from rtkmesh_services.runtime.toml_lines import lines_of
+from rtkmesh_services.runtime.words import clip, nearest
 
-HUB_ID: Final = "hub"
 MAXIMUM_SOLVER_FILE: Final = 65536
 MAXIMUM_FILE: Final = 1 << 20
 DATA_VARIABLE: Final = "RTKMESH_DATA"
@@ -32,11 +30,7 @@ _REFERENCE: Final = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _UNKNOWN: Final = re.compile(r"unknown field `(?P<name>.*?)`")
 _MISSING: Final = re.compile(r"missing required field `(?P<name>.*?)`")
 _AT: Final = re.compile(r" - at `\$(?P<path>.*?)`$")
-_SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
-_MOUNT: Final = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _FILE_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
-_LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
-_MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -123,7 +117,7 @@ def parse_deployment(text: str, file: str, data_folder: Path | None = None) -> D
     """Return the deployment in a TOML text; ConfigErrors names everything that is wrong in it."""
     reader = _Reader(file, text, data_folder)
     deployment = reader.deployment()
-    _check(reader, deployment)
+    check_deployment(reader, deployment)
     reader.finish()
     return deployment
 
@@ -147,15 +141,6 @@ def load_solver_table(name: str, config_folder: Path) -> SolverTable:
     return table
 
 
-def nearest(name: str, among: Iterator[str] | list[str]) -> str:
-    """Return `; did you mean 'x'?` or nothing."""
-    names = list(among)
-    found = difflib.get_close_matches(name, names, 1, 0.5)
-    parts = [known for known in names if len(name) >= 3 and (name in known.split("_") or known.startswith(name))]
-    best = (parts or found)[:1]
-    return f"; did you mean {best[0]!r}?" if best else ""
-
-
 class _Reader:
     """One TOML text on its way into structs; faults are gathered, ``finish`` raises them."""
 
@@ -177,6 +162,11 @@ class _Reader:
                 break
         self.errors.append(ConfigError(self.file, line, message))
 
+    def names_of(self, role: str) -> list[str]:
+        """Return the ids of a role, also of tables that have faults of their own."""
+        tables = self.raw.get(role)
+        return list(tables) if _is_table(tables) else []
+
     def finish(self) -> None:
         """Raise what was gathered, in the order of lines."""
         if self.errors:
@@ -191,7 +181,7 @@ class _Reader:
                 self.fault((name,), f"unknown table [{name}]{nearest(name, list(fields))}")
             elif not _is_table(table):
                 self.fault((name,), f"[{name}] is a table, not {type(table).__name__}")
-            elif name in _MULTIPLE:
+            elif name in MULTIPLE:
                 kind = fields[name].type.__args__[1]
                 values[name] = {id: made for id, row in table.items() if (made := self.table(kind, row, (name, id))) is not None}  # noqa: A001
             elif (made := self.table(fields[name].type, table, (name,))) is not None:
@@ -272,147 +262,6 @@ class _Reader:
         return text
 
 
-def _check(reader: _Reader, deployment: Deployment) -> None:
-    """Gather the faults between tables: ids, references, where the hub listens."""
-    owners: dict[str, str] = {HUB_ID: "hub", CONTROL_ID: "control"}
-    for role in _MULTIPLE:
-        for id in getattr(deployment, role):  # noqa: A001  the word of the design
-            _check_id(reader, owners, role, id)
-    for id, ingest in deployment.ingest.items():  # noqa: A001
-        _check_options(reader, id, ingest.options)
-        _check_ingest(reader, id, ingest)
-    for id, solver in deployment.solver.items():  # noqa: A001
-        _check_reference(reader, "ingest", solver.rover, ("solver", id, "rover"))
-        if solver.base:
-            _check_reference(reader, "ingest", solver.base, ("solver", id, "base"))
-        elif solver.mode != "single":
-            reader.fault(("solver", id), f"[solver.{id}] has no 'base', which mode {solver.mode!r} needs")
-        for index, navigation in enumerate(solver.navigation):
-            _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
-        _check_solver(reader, id, solver)
-    for id, table in deployment.attitude.items():  # noqa: A001
-        _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
-    for id in deployment.ingest:  # noqa: A001
-        _check_followed(reader, id, deployment.ingest)
-    for id, output in deployment.output.items():  # noqa: A001
-        _check_output(reader, id, output)
-    _check_lists(reader, deployment)
-    for index, address in enumerate(deployment.hub.listen):
-        if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):
-            reader.fault(
-                ("hub", "listen", str(index)),
-                f"[hub] listen: {address!r} is no loopback address; others could command your receivers: say insecure = true to allow it",
-            )
-
-
-def _check_options(reader: _Reader, id: str, text: str) -> None:  # noqa: A002
-    try:
-        parse_receiver_options(text)
-    except OptionError as error:
-        reader.fault(("ingest", id, "options"), f"[ingest.{id}] options: {error}")
-
-
-def _check_ingest(reader: _Reader, id: str, table: IngestTable) -> None:  # noqa: A002
-    for index, base in enumerate(table.corrections.bases if table.corrections else ()):
-        path = ("ingest", id, "corrections", "from", str(index))
-        if base == id:
-            reader.fault(path, f"[ingest.{id}.corrections] from: a receiver does not correct itself")
-        else:
-            _check_reference(reader, "ingest", base, path)
-    if table.corrections is not None and not table.corrections.bases:
-        reader.fault(("ingest", id, "corrections", "from"), f"[ingest.{id}.corrections] from: names no base")
-    station = table.base_station
-    if station is None:
-        return
-    positions = [name for name in ("position_ecef_m", "position_llh_deg") if getattr(station, name) is not None]
-    where = ("ingest", id, "base_station")
-    if station.mode == "fixed" and len(positions) != 1:
-        reader.fault(where, f"[ingest.{id}.base_station] mode 'fixed' needs either 'position_ecef_m' or 'position_llh_deg'")
-    elif station.mode != "fixed" and positions:
-        reader.fault((*where, positions[0]), f"[ingest.{id}.base_station] {positions[0]} is of mode 'fixed', not of {station.mode!r}")
-    if station.mode == "preset" and not station.preset:
-        reader.fault(where, f"[ingest.{id}.base_station] mode 'preset' needs 'preset', the name of a saved position")
-    if station.mode in ("survey-in", "preset") and station.receiver == "other":
-        text = f"mode {station.mode!r} needs 'receiver', whose language we speak: ublox, ublox-legacy, unicore, septentrio"
-        reader.fault(where, f"[ingest.{id}.base_station] {text}; for other receivers there is mode 'average'")
-    if table.position_ecef_m is not None or table.position_llh_deg is not None:
-        reader.fault(where, f"[ingest.{id}.base_station] and a position of [ingest.{id}] itself: say it once, here")
-
-
-def _check_solver(reader: _Reader, id: str, solver: SolverTable) -> None:  # noqa: A002
-    if solver.mode == "fixed" and solver.fixed_position_ecef_m is None:
-        reader.fault(("solver", id, "mode"), f"[solver.{id}] mode 'fixed' needs 'fixed_position_ecef_m', where the rover is")
-    for index, name in enumerate(solver.excluded):
-        if not _SATELLITE.fullmatch(name):
-            reader.fault(("solver", id, "excluded", str(index)), f"[solver.{id}] excluded: {clip(name)!r} is no satellite such as G05")
-
-
-def _check_output(reader: _Reader, id: str, output: OutputTable) -> None:  # noqa: A002
-    given = [name for name in ("solver", "receiver", "mounts") if getattr(output, name)]
-    wanted = "mounts" if output.target.startswith("ntrip-caster://") else "solver or receiver"
-    if len(given) != 1 or (given[0] == "mounts") != (wanted == "mounts"):
-        has = f"has {' and '.join(repr(name) for name in given)}" if given else "says nothing"
-        reader.fault(("output", id), f"[output.{id}] {has} where it needs {wanted}: what is to be sent")
-        return
-    if output.encode and (output.solver or output.protocol != "rtcm3"):
-        what = "a solver's lines" if output.solver else f'protocol = "{output.protocol}"'
-        reader.fault(("output", id, "encode"), f"[output.{id}] encode makes RTCM 3 of a receiver's stream, and this is {what}")
-    if output.solver:
-        _check_reference(reader, "solver", output.solver, ("output", id, "solver"))
-    if output.receiver:
-        _check_reference(reader, "ingest", output.receiver, ("output", id, "receiver"))
-    for mount, receiver in output.mounts.items():
-        if not _MOUNT.fullmatch(mount):
-            text = f"{clip(mount)!r} is no mount point: letters, digits, '_', '-', '.'"
-            reader.fault(("output", id, "mounts", mount), f"[output.{id}] mounts: {text}")
-        _check_reference(reader, "ingest", receiver, ("output", id, "mounts", mount))
-
-
-def _check_followed(reader: _Reader, id: str, ingests: Mapping[str, IngestTable]) -> None:  # noqa: A002
-    """An ingest that takes another one's frames needs one that publishes them, live."""
-    for followed in ingests[id].follows:
-        path, table = ("ingest", id, "source"), ingests.get(followed)
-        if table is None:
-            _check_reference(reader, "ingest", followed, path)
-            continue
-        reason = "publishes no frames: raw = false" if not table.raw else ""
-        reason = "takes its frames from an ingest itself" if table.follows else reason
-        reason = "is a recording: play it twice, the second time with ?antenna=2" if table.replay else reason
-        if reason:
-            reader.fault(path, f"[ingest.{id}] source: [ingest.{followed}] {reason}")
-
-
-def _check_id(reader: _Reader, owners: dict[str, str], role: str, id: str) -> None:  # noqa: A002
-    try:
-        check_id(id)
-    except BadKeyError as error:
-        reader.fault((role, id), f"[{role}.{id}] {error}")
-    if id == "*":
-        reader.fault((role, id), f"[{role}.{id}] '*' is no id")
-    if id in owners:
-        reader.fault((role, id), f"[{role}.{id}] the id {id!r} is taken by {owners[id]}: ids are unique over all roles")
-    owners[id] = f"[{role}.{id}]"
-
-
-def _check_lists(reader: _Reader, deployment: Deployment) -> None:
-    for id, table in deployment.recorder.items():  # noqa: A001
-        for index, receiver in enumerate(table.receivers):
-            _check_reference(reader, "ingest", receiver, ("recorder", id, "receivers", str(index)))
-    for id, table in deployment.ros2.items():  # noqa: A001
-        for index, solver in enumerate(table.solvers):
-            _check_reference(reader, "solver", solver, ("ros2", id, "solvers", str(index)))
-        for index, attitude in enumerate(table.attitudes):
-            _check_reference(reader, "attitude", attitude, ("ros2", id, "attitudes", str(index)))
-
-
-def _check_reference(reader: _Reader, role: str, id: str, path: tuple[str, ...]) -> None:  # noqa: A002
-    tables = reader.raw.get(role)  # also those that have faults of their own
-    known: Mapping[str, Any] = tables if _is_table(tables) else {}
-    if id not in known:
-        there = nearest(id, list(known)) or f"; there {'are' if len(known) != 1 else 'is'} {_listed(list(known)) or 'none'}"
-        reader.fault(path, f"[{path[0]}.{path[1]}] {path[2]}: no [{role}.{id}]{there}")
-
-
 def require_id(site: Site, role: Role, id: str) -> None:  # noqa: A002
     """ConfigError unless the deployment has a process of that role and id."""
     if role in {Role.HUB, Role.CONTROL}:
@@ -464,11 +313,6 @@ def _read_below(name: str, folder: Path) -> str:
     return _decoded(data, name)
 
 
-def clip(text: str) -> str:
-    """Return foreign text short and printable, for an error."""
-    return "".join(character if character.isprintable() else "�" for character in text[:100])
-
-
 def _syntax_error(file: str, error: Exception) -> ConfigError:
     match = re.search(r" \(at line (\d+), column (\d+)\)$", str(error))
     if match is None:
@@ -506,7 +350,7 @@ def _named(path: tuple[str, ...]) -> str:
 
 def _depth(kind: type[msgspec.Struct], path: tuple[str, ...]) -> int:
     """Return how many chunks of the path name the table of ``kind`` itself: 2 for [solver.rtk], 1 for [hub]."""
-    return 2 if path[0] in _MULTIPLE and not (kind is SolverTable and path[1:2] and path[1] in SolverTable.__struct_fields__) else 1
+    return 2 if path[0] in MULTIPLE and not (kind is SolverTable and path[1:2] and path[1] in SolverTable.__struct_fields__) else 1
 
 
 def _kind_at(kind: type[msgspec.Struct], path: tuple[str, ...]) -> type[msgspec.Struct]:

@@ -25,8 +25,8 @@ from msgspec import Meta
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.receivers.ublox import MAXIMUM_KEYS
 from rtkmesh_services.ingest.ubx_commands import key_of, ubx_frame
-from rtkmesh_services.runtime.configuration import nearest
 from rtkmesh_services.runtime.shipped import config_folders
+from rtkmesh_services.runtime.words import nearest
 
 FOLDER: Final = "receivers"
 MAXIMUM_FILE: Final = 65536

@@ -1,0 +1,177 @@
+"""Faults between the tables of a deployment: ids, references, options that exclude or need each other, where the hub listens."""
+
+import re
+from collections.abc import Mapping
+from typing import Final, Protocol
+
+from rtkmesh.errors import OptionError
+from rtkmesh.gnss.receiver_options import parse_receiver_options
+from rtkmesh_schemas.config import Deployment, IngestTable, OutputTable, SolverTable
+from rtkmesh_schemas.errors import BadKeyError
+from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
+from rtkmesh_services.runtime.words import clip, nearest
+
+MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
+_SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
+_MOUNT: Final = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+_LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
+
+
+class Faults(Protocol):
+    """What gathers the faults of one file."""
+
+    def fault(self, path: tuple[str, ...], message: str) -> None:
+        """Gather one fault at a key (or at the nearest table above it)."""
+        ...
+
+    def names_of(self, role: str) -> list[str]:
+        """Return the ids of a role, also of tables that have faults of their own."""
+        ...
+
+
+def check_deployment(reader: Faults, deployment: Deployment) -> None:
+    """Gather the faults between tables: ids, references, where the hub listens."""
+    owners: dict[str, str] = {HUB_ID: "hub", CONTROL_ID: "control"}
+    for role in MULTIPLE:
+        for id in getattr(deployment, role):  # noqa: A001  the word of the design
+            _check_id(reader, owners, role, id)
+    for id in deployment.ingest:  # noqa: A001
+        _check_ingest(reader, id, deployment.ingest)
+    for id, solver in deployment.solver.items():  # noqa: A001
+        _check_reference(reader, "ingest", solver.rover, ("solver", id, "rover"))
+        if solver.base:
+            _check_reference(reader, "ingest", solver.base, ("solver", id, "base"))
+        elif solver.mode != "single":
+            reader.fault(("solver", id), f"[solver.{id}] has no 'base', which mode {solver.mode!r} needs")
+        for index, navigation in enumerate(solver.navigation):
+            _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
+        _check_solver(reader, id, solver)
+    for id, table in deployment.attitude.items():  # noqa: A001
+        _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
+    for id, output in deployment.output.items():  # noqa: A001
+        _check_output(reader, id, output)
+    _check_lists(reader, deployment)
+    for index, address in enumerate(deployment.hub.listen):
+        if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):
+            reader.fault(
+                ("hub", "listen", str(index)),
+                f"[hub] listen: {address!r} is no loopback address; others could command your receivers: say insecure = true to allow it",
+            )
+
+
+def _check_options(reader: Faults, id: str, text: str) -> None:  # noqa: A002
+    try:
+        parse_receiver_options(text)
+    except OptionError as error:
+        reader.fault(("ingest", id, "options"), f"[ingest.{id}] options: {error}")
+
+
+def _check_ingest(reader: Faults, id: str, ingests: Mapping[str, IngestTable]) -> None:  # noqa: A002
+    table = ingests[id]
+    _check_options(reader, id, table.options)
+    _check_corrections(reader, id, table)
+    _check_base_station(reader, id, table)
+    _check_followed(reader, id, ingests)
+
+
+def _check_corrections(reader: Faults, id: str, table: IngestTable) -> None:  # noqa: A002
+    for index, base in enumerate(table.corrections.bases if table.corrections else ()):
+        path = ("ingest", id, "corrections", "from", str(index))
+        if base == id:
+            reader.fault(path, f"[ingest.{id}.corrections] from: a receiver does not correct itself")
+        else:
+            _check_reference(reader, "ingest", base, path)
+    if table.corrections is not None and not table.corrections.bases:
+        reader.fault(("ingest", id, "corrections", "from"), f"[ingest.{id}.corrections] from: names no base")
+
+
+def _check_base_station(reader: Faults, id: str, table: IngestTable) -> None:  # noqa: A002
+    station = table.base_station
+    if station is None:
+        return
+    positions = [name for name in ("position_ecef_m", "position_llh_deg") if getattr(station, name) is not None]
+    where = ("ingest", id, "base_station")
+    if station.mode == "fixed" and len(positions) != 1:
+        reader.fault(where, f"[ingest.{id}.base_station] mode 'fixed' needs either 'position_ecef_m' or 'position_llh_deg'")
+    elif station.mode != "fixed" and positions:
+        reader.fault((*where, positions[0]), f"[ingest.{id}.base_station] {positions[0]} is of mode 'fixed', not of {station.mode!r}")
+    if station.mode == "preset" and not station.preset:
+        reader.fault(where, f"[ingest.{id}.base_station] mode 'preset' needs 'preset', the name of a saved position")
+    if station.mode in ("survey-in", "preset") and station.receiver == "other":
+        text = f"mode {station.mode!r} needs 'receiver', whose language we speak: ublox, ublox-legacy, unicore, septentrio"
+        reader.fault(where, f"[ingest.{id}.base_station] {text}; for other receivers there is mode 'average'")
+    if table.position_ecef_m is not None or table.position_llh_deg is not None:
+        reader.fault(where, f"[ingest.{id}.base_station] and a position of [ingest.{id}] itself: say it once, here")
+
+
+def _check_solver(reader: Faults, id: str, solver: SolverTable) -> None:  # noqa: A002
+    if solver.mode == "fixed" and solver.fixed_position_ecef_m is None:
+        reader.fault(("solver", id, "mode"), f"[solver.{id}] mode 'fixed' needs 'fixed_position_ecef_m', where the rover is")
+    for index, name in enumerate(solver.excluded):
+        if not _SATELLITE.fullmatch(name):
+            reader.fault(("solver", id, "excluded", str(index)), f"[solver.{id}] excluded: {clip(name)!r} is no satellite such as G05")
+
+
+def _check_output(reader: Faults, id: str, output: OutputTable) -> None:  # noqa: A002
+    given = [name for name in ("solver", "receiver", "mounts") if getattr(output, name)]
+    wanted = "mounts" if output.target.startswith("ntrip-caster://") else "solver or receiver"
+    if len(given) != 1 or (given[0] == "mounts") != (wanted == "mounts"):
+        has = f"has {' and '.join(repr(name) for name in given)}" if given else "says nothing"
+        reader.fault(("output", id), f"[output.{id}] {has} where it needs {wanted}: what is to be sent")
+        return
+    if output.encode and (output.solver or output.protocol != "rtcm3"):
+        what = "a solver's lines" if output.solver else f'protocol = "{output.protocol}"'
+        reader.fault(("output", id, "encode"), f"[output.{id}] encode makes RTCM 3 of a receiver's stream, and this is {what}")
+    if output.solver:
+        _check_reference(reader, "solver", output.solver, ("output", id, "solver"))
+    if output.receiver:
+        _check_reference(reader, "ingest", output.receiver, ("output", id, "receiver"))
+    for mount, receiver in output.mounts.items():
+        if not _MOUNT.fullmatch(mount):
+            text = f"{clip(mount)!r} is no mount point: letters, digits, '_', '-', '.'"
+            reader.fault(("output", id, "mounts", mount), f"[output.{id}] mounts: {text}")
+        _check_reference(reader, "ingest", receiver, ("output", id, "mounts", mount))
+
+
+def _check_followed(reader: Faults, id: str, ingests: Mapping[str, IngestTable]) -> None:  # noqa: A002
+    """An ingest that takes another one's frames needs one that publishes them, live."""
+    for followed in ingests[id].follows:
+        path, table = ("ingest", id, "source"), ingests.get(followed)
+        if table is None:
+            _check_reference(reader, "ingest", followed, path)
+            continue
+        reason = "publishes no frames: raw = false" if not table.raw else ""
+        reason = "takes its frames from an ingest itself" if table.follows else reason
+        reason = "is a recording: play it twice, the second time with ?antenna=2" if table.replay else reason
+        if reason:
+            reader.fault(path, f"[ingest.{id}] source: [ingest.{followed}] {reason}")
+
+
+def _check_id(reader: Faults, owners: dict[str, str], role: str, id: str) -> None:  # noqa: A002
+    try:
+        check_id(id)
+    except BadKeyError as error:
+        reader.fault((role, id), f"[{role}.{id}] {error}")
+    if id == "*":
+        reader.fault((role, id), f"[{role}.{id}] '*' is no id")
+    if id in owners:
+        reader.fault((role, id), f"[{role}.{id}] the id {id!r} is taken by {owners[id]}: ids are unique over all roles")
+    owners[id] = f"[{role}.{id}]"
+
+
+def _check_lists(reader: Faults, deployment: Deployment) -> None:
+    for id, table in deployment.recorder.items():  # noqa: A001
+        for index, receiver in enumerate(table.receivers):
+            _check_reference(reader, "ingest", receiver, ("recorder", id, "receivers", str(index)))
+    for id, table in deployment.ros2.items():  # noqa: A001
+        for index, solver in enumerate(table.solvers):
+            _check_reference(reader, "solver", solver, ("ros2", id, "solvers", str(index)))
+        for index, attitude in enumerate(table.attitudes):
+            _check_reference(reader, "attitude", attitude, ("ros2", id, "attitudes", str(index)))
+
+
+def _check_reference(reader: Faults, role: str, id: str, path: tuple[str, ...]) -> None:  # noqa: A002
+    known = reader.names_of(role)
+    if id not in known:
+        there = nearest(id, known) or f"; there {'are' if len(known) != 1 else 'is'} {', '.join(known) or 'none'}"
+        reader.fault(path, f"[{path[0]}.{path[1]}] {path[2]}: no [{role}.{id}]{there}")
