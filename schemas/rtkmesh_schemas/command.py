@@ -40,7 +40,10 @@ class Request(Wire, frozen=True, kw_only=True):
 
 
 class Reply(Wire, frozen=True, kw_only=True):
-    """The answer: ``message`` for people, ``code`` for programs, the process's ``state`` after it."""
+    """The answer: ``message`` for people, ``code`` for programs, ``data`` typed, the process's ``state`` after it.
+
+    ``text``: what RTKRCV's console shows for the word, lines ended by LF; empty where it shows nothing but the message.
+    """
 
     ok: bool
     code: Code
@@ -49,6 +52,7 @@ class Reply(Wire, frozen=True, kw_only=True):
     data: dict[str, Any] = {}
     request_id: str = ""
     id: str = ""
+    text: str = ""
 
 
 def request_of(payload: bytes, encoding: str, parameters: str) -> Request:

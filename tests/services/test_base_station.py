@@ -22,12 +22,13 @@ from rtkmesh_schemas.status import Event, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.ingest.base import station
 from rtkmesh_services.ingest.base.found import Found
-from rtkmesh_services.ingest.base.presets import STATE_VARIABLE, PresetStore
+from rtkmesh_services.ingest.base.presets import PresetStore
 from rtkmesh_services.ingest.receivers import orders
 from rtkmesh_services.ingest.service import IngestService
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.service import Context
+from rtkmesh_services.runtime.state_files import STATE_VARIABLE
 
 WAIT_S = 20.0
 

@@ -13,9 +13,10 @@ from tests.services.test_corrections import EPOCHS, STATION_FRAMES, epoch
 
 from rtkmesh_schemas.keys import REF
 from rtkmesh_schemas.status import ServiceStatus, State
-from rtkmesh_services.ingest.base.presets import STATE_VARIABLE, PresetStore
+from rtkmesh_services.ingest.base.presets import PresetStore
 from rtkmesh_services.ntrip.frames import message_number
 from rtkmesh_services.runtime.calls import call
+from rtkmesh_services.runtime.state_files import STATE_VARIABLE
 
 pytestmark = pytest.mark.e2e
 BYTES_PER_S = 960.0

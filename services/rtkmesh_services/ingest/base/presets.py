@@ -3,8 +3,6 @@
 A position is replaced only when that is asked for; what it replaces, and what is forgotten, stays in the history.
 """
 
-import fcntl
-import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,8 +13,8 @@ import msgspec
 from rtkmesh_schemas.base import BasePosition
 from rtkmesh_schemas.command import Code
 from rtkmesh_services.errors import CommandError, ServiceError
+from rtkmesh_services.runtime.state_files import locked, state_folder, write_state
 
-STATE_VARIABLE: Final = "RTKMESH_STATE"
 FILE_NAME: Final = "base_positions.json"
 MAXIMUM_BYTES: Final = 1 << 22
 HISTORY: Final = 50
@@ -35,14 +33,6 @@ class PresetFile(msgspec.Struct, kw_only=True):
 
     version: int = 1
     presets: dict[str, Preset] = {}
-
-
-def state_folder() -> Path:
-    """Return where this host keeps what it learns: RTKMESH_STATE, else rtkmesh in XDG_STATE_HOME or ~/.local/state."""
-    if found := os.environ.get(STATE_VARIABLE):
-        return Path(found)
-    home = os.environ.get("XDG_STATE_HOME")
-    return (Path(home) if home else Path.home() / ".local" / "state") / "rtkmesh"
 
 
 class PresetStore:
@@ -87,9 +77,7 @@ class PresetStore:
     def _changed(self) -> Generator[PresetFile]:
         """Give the file's content, and write what became of it, while nobody else does."""
         try:
-            self.file.parent.mkdir(parents=True, exist_ok=True)
-            with self.file.with_suffix(".lock").open("w") as lock:
-                fcntl.flock(lock, fcntl.LOCK_EX)
+            with locked(self.file):
                 content = self._read()
                 yield content
                 self._write(content)
@@ -112,13 +100,7 @@ class PresetStore:
         return content
 
     def _write(self, content: PresetFile) -> None:
-        text = msgspec.json.format(msgspec.json.encode(content), indent=2)
-        beside = self.file.with_suffix(".new")
-        with beside.open("wb") as file:
-            file.write(text + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(self.file)
+        write_state(self.file, msgspec.json.encode(content))
 
 
 def _with(preset: Preset, position: BasePosition | None) -> Preset:
