@@ -145,8 +145,8 @@ def skies(draw: st.DrawFn) -> list[Row]:
     names = draw(st.lists(st.sampled_from([*_NAMES, *(f"S{number}" for number in range(20, 40))]), max_size=80, unique=True))
     row = st.tuples(
         st.sampled_from((0, 1, 3, 7)),
-        st.floats(0.0, 359.4),
-        st.integers(-50, 900).map(lambda tenths: tenths / 10.0),
+        _degrees(0, 359),
+        _degrees(-5, 89),
         st.floats(10.0, 55.0).map(single),
     )
     return [(name, "1C", *draw(row)) for name in names]
@@ -235,8 +235,7 @@ def test_states(numbers: Drawn, states: dict[str, Any], dynamics: bool) -> None:
     rows=st.lists(
         st.tuples(
             st.sampled_from((0, 2, 6, 10, 34)),
-            st.floats(0.0, 359.0),
-            st.floats(0.1, 90.0),
+            _degrees(0, 359), _degrees(1, 89),
             st.floats(10.0, 55.0).map(single),
             st.tuples(*[st.floats(-50.0, 50.0).map(single)] * 2),
             st.tuples(*[st.integers(0, 3000)] * 3),
