@@ -22,8 +22,9 @@ from rtkmesh.errors import OptionError
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_STEPS: Final = 8
-_CONVERGED_RAD: Final = 1e-12
+_STEPS: Final = 60
+_CONVERGED_RAD: Final = 1e-10
+_SHRINKING: Final = 0.7
 _LARGEST_LAST_RAD: Final = 1e-6
 _FLAT: Final = 1e-3  # a layout whose next singular value is smaller than this share of the first is flat (or straight)
 
@@ -219,14 +220,17 @@ def _refined(layout: Layout, measured: Measured, body: Matrix, shape: Shape, sta
     absolute, share = measured.absolute, measured.weights.sum(axis=1)
     line = _line(body, share) if shape is Shape.LINE else None
     rotation, origin = start, _first_origin(measured, body, start) if absolute else np.zeros(3)
-    weight, cov, step = np.eye(0), np.eye(0), np.full(3, np.inf)
+    weight, cov, step, share_of_step = np.eye(0), np.eye(0), np.full(3, np.inf), 1.0
     for _ in range(_STEPS):
         weight = np.linalg.inv(_covariance(layout, measured, rotation))
         jacobian = _jacobian(body @ rotation.T, share, absolute=absolute)
         residuals = measured.values_ned_m - body @ rotation.T - np.outer(share, origin)
         seen = _seen_directions(None if line is None else rotation @ line, len(jacobian[0]))
         cov = seen @ np.linalg.inv(seen.T @ jacobian.T @ weight @ jacobian @ seen) @ seen.T
-        step = cov @ (jacobian.T @ weight @ residuals.ravel())
+        before, step = float(np.abs(step[:3]).max()), cov @ (jacobian.T @ weight @ residuals.ravel())
+        if float(np.abs(step[:3]).max()) > _SHRINKING * before:  # large residuals make it overshoot, and swing about the answer
+            share_of_step *= 0.5
+        step = share_of_step * step
         rotation = rotation_of(step[:3]) @ rotation
         origin = origin + step[3:] if absolute else origin
         if float(np.abs(step).max()) < _CONVERGED_RAD:
