@@ -235,7 +235,8 @@ def test_states(numbers: Drawn, states: dict[str, Any], dynamics: bool) -> None:
     rows=st.lists(
         st.tuples(
             st.sampled_from((0, 2, 6, 10, 34)),
-            _degrees(0, 359), _degrees(1, 89),
+            _degrees(0, 359),
+            _degrees(1, 89),
             st.floats(10.0, 55.0).map(single),
             st.tuples(*[st.floats(-50.0, 50.0).map(single)] * 2),
             st.tuples(*[st.integers(0, 3000)] * 3),
