@@ -71,6 +71,7 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     protection_vertical_m: float = float("nan")
     integrity: str = "unavailable"
     integrity_reason: str = ""
+    baseline_cov_ecef_m2: Matrix = (float("nan"),) * 9
 
 
 class SatellitesMessage(Wire, frozen=True, kw_only=True):

@@ -40,6 +40,7 @@ def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
         baseline_ecef_m=_vector(solution.baseline_ecef_m),
         baseline_enu_m=_vector(local.baseline_m),
         baseline_cov_enu_m2=_matrix(local.baseline_cov_m2),
+        baseline_cov_ecef_m2=_matrix(solution.baseline_cov_ecef_m2),
         acceleration_ecef_mps2=_vector(solution.acceleration_ecef_mps2),
         acceleration_cov_ecef_m2ps4=_matrix(solution.acceleration_cov_ecef_m2ps4),
         acceleration_enu_mps2=_vector(local.acceleration_mps2),
