@@ -22,12 +22,12 @@ from rtkmesh_schemas.wire import decode
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest import serial_ports
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
-from rtkmesh_services.runtime import serial_device
-from rtkmesh_services.runtime.serial_device import find_port
 from rtkmesh_services.ingest.service import IngestService
 from rtkmesh_services.ingest.urls import parse_source
+from rtkmesh_services.runtime import serial_device
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
+from rtkmesh_services.runtime.serial_device import find_port
 from rtkmesh_services.runtime.service import Context
 
 WAIT_S = 15.0

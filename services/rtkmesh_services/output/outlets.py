@@ -3,7 +3,7 @@
 import os
 import select
 import socket
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import serial
 
@@ -92,7 +92,7 @@ class TcpOpener:
 class UdpOutlet:
     """Datagrams, one of each text or frame; nobody has to be there."""
 
-    def __init__(self, family: int, address: tuple[str | int, ...], detail: str) -> None:
+    def __init__(self, family: int, address: Any, detail: str) -> None:
         self._address, self.detail = address, detail
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)

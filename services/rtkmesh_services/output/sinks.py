@@ -7,7 +7,7 @@ from rtkmesh_schemas.keys import Stream
 from rtkmesh_schemas.status import InputStatus
 from rtkmesh_services.output.outlets import Opener, PushOpener, SerialOpener, StandardOutput, TcpOpener, UdpOpener
 from rtkmesh_services.output.sender import Preface, Sender
-from rtkmesh_services.output.server import TcpServer
+from rtkmesh_services.output.server import Client, TcpServer
 from rtkmesh_services.output.targets import TargetUrl
 from rtkmesh_services.runtime.bus import Bus
 
@@ -121,18 +121,16 @@ class ServerSink:
         detail = f"{self._url}, {len(clients)} client{'s' if len(clients) != 1 else ''}"
         state, refused = "error" if self.error else "listening", self._server.refused
         server = InputStatus(name="server", state=state, detail=detail, messages=self._sent, dropped=self.dropped, errors=refused)
-        rows = [
-            InputStatus(
-                name=f"client {client.address}", state="served", messages=client.pump.sent, bytes=client.pump.bytes, dropped=client.pump.dropped
-            )
-            for client in clients[:SHOWN_CLIENTS]
-        ]
-        return [server, *rows]
+        return [server, *(self._row(client) for client in clients[:SHOWN_CLIENTS])]
 
     def close(self) -> str:
         """Serve nobody any more."""
         self._server.close()
         return ""
+
+    def _row(self, client: Client) -> InputStatus:
+        pump = client.pump
+        return InputStatus(name=f"client {client.address}", state="served", messages=pump.sent, bytes=pump.bytes, dropped=pump.dropped)
 
 
 class BusSink:

@@ -1,14 +1,14 @@
 """Where an output goes, as a URL."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import Final
 from urllib.parse import parse_qsl, urlsplit
 
 from rtkmesh_schemas.config import OutputTable
 from rtkmesh_schemas.errors import BadKeyError
-from rtkmesh_schemas.keys import ROOT, TEXT, check_id
+from rtkmesh_schemas.keys import ROOT, TEXT, Stream, check_id
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ntrip.address import NTRIP_SCHEMES, PORT, CasterAddress, parse_caster, shown_url
 from rtkmesh_services.ntrip.connection import TlsOptions
@@ -111,6 +111,11 @@ def check_output(table: OutputTable) -> None:
         raise SourceError(f"'{target}': everybody could read: say users, or anonymous = true to allow it")
 
 
+def text_stream(url: TargetUrl) -> Stream:
+    """Return the stream of texts on a key of the user's."""
+    return replace(TEXT, name=f"text {url.path}", template=url.path)
+
+
 def _located(url: str, scheme: str, rest: str) -> TargetUrl:
     if scheme in NTRIP_SCHEMES:
         return _push_target(url, scheme)
@@ -153,7 +158,7 @@ def _check_key(url: str, path: str) -> None:
     """The keys of the table belong to their owners; other programs' keys are free."""
     if path and (_NOT_IN_KEYS & set(path) or "" in path.split("/") or not path.isprintable()):
         raise SourceError(f"{url!r}: {path!r} is no key: words with / between them")
-    if path.split("/")[0] == ROOT:
+    if path.split("/", maxsplit=1)[0] == ROOT:
         raise SourceError(f"{url!r}: keys below {ROOT}/ have their owners; without a key it goes to {TEXT.template}")
 
 

@@ -5,7 +5,6 @@ from glob import glob
 from os.path import realpath
 from typing import Final
 
-DEFAULT_BAUD: Final = 115200
 BY_ID: Final = "/dev/serial/by-id"
 DEFAULT_BAUD: Final = 115200
 USB_NAME: Final = re.compile(r"(?P<vid>[0-9A-Fa-f]{4}):(?P<pid>[0-9A-Fa-f]{4})(?::(?P<serial>.+))?")
