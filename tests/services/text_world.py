@@ -36,14 +36,15 @@ def solution(number: int = 0, **changes: Any) -> SolutionMessage:
     """A fix that goes north, five of them a second."""
     lat_deg = LAT_DEG + number * 1e-6
     values = {
-        "source": "rtk", "start_id": "x", "sequence": number, "week": WEEK, "tow_s": TOW_S + 0.2 * number, "status": 1, "status_name": "FIX",
-        "reason": "", "lat_deg": lat_deg, "lon_deg": LON_DEG, "height_m": HEIGHT_M, "position_ecef_m": ecef_m(lat_deg, LON_DEG, HEIGHT_M),
-        "position_cov_ecef_m2": COV, "position_cov_enu_m2": COV, "velocity_ecef_mps": (-0.4, -0.06, 0.37), "velocity_cov_ecef_m2ps2": COV,
-        "velocity_enu_mps": (0.0, 0.55, 0.0), "velocity_cov_enu_m2ps2": COV, "base_ecef_m": BASE_ECEF_M, "baseline_ecef_m": (1.0, 2.0, 3.0),
-        "baseline_enu_m": (10.0, 20.0 + 0.11 * number, 3.0), "baseline_cov_enu_m2": COV, "age_s": 0.2, "ratio": 20.0, "ratio_threshold": 3.0,
+        "source": "rtk", "start_id": "x", "sequence": number, "week": WEEK, "tow_s": TOW_S + 0.2 * number, "status": 1,
+        "status_name": "FIX", "reason": "", "lat_deg": lat_deg, "lon_deg": LON_DEG, "height_m": HEIGHT_M,
+        "position_ecef_m": ecef_m(lat_deg, LON_DEG, HEIGHT_M), "position_cov_ecef_m2": COV, "position_cov_enu_m2": COV,
+        "velocity_ecef_mps": (-0.4, -0.06, 0.37), "velocity_cov_ecef_m2ps2": COV, "velocity_enu_mps": (0.0, 0.55, 0.0),
+        "velocity_cov_enu_m2ps2": COV, "base_ecef_m": BASE_ECEF_M, "baseline_ecef_m": (1.0, 2.0, 3.0),
+        "baseline_enu_m": (1.83, 1.08, 3.08), "baseline_cov_enu_m2": COV, "age_s": 0.2, "ratio": 20.0, "ratio_threshold": 3.0,
         "success_rate": 1.0, "grade": 3, "ambiguities": 20, "ambiguities_fixed": 18, "satellites_used": 12, "satellites_rover": 14,
-        "satellites_base": 15, "code_rms_m": 0.3, "phase_rms_m": 0.002, "nis_per_observation": 0.9, "receiver_clock_s": 0.0, "resets": 0,
-        "mode": "kinematic", "rover": "rover", "base": "base",
+        "satellites_base": 15, "code_rms_m": 0.3, "phase_rms_m": 0.002, "nis_per_observation": 0.9, "receiver_clock_s": 0.0,
+        "resets": 0, "mode": "kinematic", "rover": "rover", "base": "base",
     }  # fmt: skip
     return SolutionMessage(**(values | changes))
 
@@ -56,10 +57,15 @@ def none(number: int) -> SolutionMessage:
 
 def satellites(number: int) -> SatellitesMessage:
     """The satellites of the same epoch: two of GPS, one of Galileo."""
-    columns = {
-        name: [value] * 3
-        for name, value in {"azimuth_deg": 120.0, "cn0_dbhz": 45.0, "code_residual_m": 0.1, "phase_residual_m": 0.001, "ambiguity_cyc": 5.0, "lock_s": 60.0}.items()
-    }  # fmt: skip
+    values = {
+        "azimuth_deg": 120.0,
+        "cn0_dbhz": 45.0,
+        "code_residual_m": 0.1,
+        "phase_residual_m": 0.001,
+        "ambiguity_cyc": 5.0,
+        "lock_s": 60.0,
+    }
+    columns = {name: [value] * 3 for name, value in values.items()}
     return SatellitesMessage(
         source="rtk", week=WEEK, tow_s=TOW_S + 0.2 * number, satellite=["G05", "G12", "E11"], signal=["1C", "1C", "1C"], state=[7, 7, 3],
         elevation_deg=[20.0, 50.0, 70.0], slips=[0, 0, 0], **columns,
@@ -129,7 +135,8 @@ class TextWorld:
     def events(self, name: str = "out") -> list[str]:
         """The codes of what an output has told of its target."""
         sent = [sample for level in Level for sample in self.buses[name].sent(EVENT, level=level.value)]
-        return [event.code for sample in sent if not (event := decode(Event, sample.payload)).code.startswith("state_")]
+        events = sorted((decode(Event, sample.payload) for sample in sent), key=lambda event: event.sequence)
+        return [event.code for event in events if not event.code.startswith("state_")]
 
     def newest(self, name: str = "out") -> ServiceStatus:
         return decode(ServiceStatus, self.buses[name].sent(STATUS)[-1].payload)

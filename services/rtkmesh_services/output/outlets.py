@@ -3,6 +3,7 @@
 import os
 import select
 import socket
+from contextlib import suppress
 from typing import Any, Final, Protocol
 
 import serial
@@ -72,7 +73,9 @@ class SocketOutlet:
                 raise ConnectionError("closed by the other side")
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the socket; a write that waits ends."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
 

@@ -28,28 +28,33 @@ class Watch:
         """Let the sink do its things; tell what has changed."""
         self.sink.tick()
         error, dropped = self.sink.error, self.sink.dropped
-        if dropped > self._dropped:
-            self._dropped, self._lost_ns = dropped, now_mono_ns
+        if dropped > self._dropped and not error:  # what is lost in a failure is the failure's
+            self._lost_ns = now_mono_ns
+        self._dropped = dropped
         behind = self._lost_ns > 0 and now_mono_ns - self._lost_ns < BEHIND_NS
-        lost = self._dropped - self._dropped_before
-        self.reason = error or (f"too slow: {lost} dropped, the oldest first" if behind else "")
+        self.reason = error or (f"too slow: {self._lost} dropped, the oldest first" if behind else "")
         if bool(error) != self._failed:
-            self._failed = bool(error)
-            self._tell("output_failed" if error else "output_back", lost)
+            self._tell("output_failed" if error else "output_back")
         elif behind and not self._behind and not error:
-            self._tell("output_slow", lost)
-        self._behind = behind
+            self._tell("output_slow")
+        self._failed, self._behind = bool(error), behind
         if not self.reason:
             self._dropped_before = self._dropped
+
+    @property
+    def _lost(self) -> int:
+        """What was dropped since all was well."""
+        return self._dropped - self._dropped_before
 
     def close(self) -> None:
         """Close the sink and say what did not get out."""
         if words := self.sink.close():
             self._context.log.warning("%s", words)
 
-    def _tell(self, code: str, lost: int) -> None:
+    def _tell(self, code: str) -> None:
         """Publish what has changed; a change of the state is in the log already."""
         if self.reason:
             self._context.event(Level.WARNING, code, self.reason, logged=False)
         else:
-            self._context.event(Level.INFO, code, f"the target takes everything again{f'; {lost} were dropped' if lost else ''}")
+            lost = f"; {self._lost} were dropped" if self._lost else ""
+            self._context.event(Level.INFO, code, f"the target takes everything again{lost}")
