@@ -7,6 +7,7 @@ import socket
 import time
 import tty
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from math import hypot
 from pathlib import Path
 
@@ -191,6 +192,26 @@ def test_a_file_that_cannot_be_made_is_told_once_and_tried_again(tmp_path: Path)
     assert len(lines((folder / "out.pos").read_bytes())) == 1
 
 
+def test_a_full_disk_is_told_once_and_nothing_is_lost_when_there_is_room_again(small_disk: Path) -> None:
+    """What is refused waits; the file goes on where it stopped."""
+    filler = small_disk / "filler"
+    with TextWorld(out=table(f"file://{small_disk}/out.pos")) as world:
+        world.solve(solution(0))
+        world.until(lambda: lines((small_disk / "out.pos").read_bytes()))
+        with suppress(OSError):
+            filler.write_bytes(bytes(1 << 20))
+        count = 1
+        while world.state() != "DEGRADED":
+            world.solve(solution(count))
+            count += 1
+            assert count < 20000
+        assert "No space left" in world.status().reason
+        filler.unlink()
+        world.until(lambda: world.state() == "RUNNING")
+        assert [code for code in world.events() if code != "writing"] == ["output_failed", "output_back"]
+    assert len(lines((small_disk / "out.pos").read_bytes())) == count
+
+
 # --- sockets
 
 
@@ -219,7 +240,8 @@ def test_a_client_that_does_not_read_harms_nobody(free_port: Callable[[], int]) 
         client(port).close()  # it listens
         stuck.connect(("127.0.0.1", port))
         with stuck, client(port) as quick:
-            world.until(lambda: len(world.status().inputs) >= 4)
+            names = {f"client 127.0.0.1:{one.getsockname()[1]}" for one in (stuck, quick)}
+            world.until(lambda: {row.name for row in world.status().inputs} >= names)
             got, worst_s, number = b"", 0.0, 0
             while not world.status().counters["lines_lost"]:
                 begun_s = time.monotonic()
