@@ -131,6 +131,14 @@ def test_marks_go_into_the_texts(tmp_path: Path) -> None:
     assert '{"mark":{"name":"P1"' in (tmp_path / "json").read_text()
 
 
+def test_what_has_come_is_written_at_the_end(tmp_path: Path) -> None:
+    """Also what waits in the inbox or for its satellites: a replay's last epochs."""
+    with TextWorld(out=table(f"file://{tmp_path}/out", format="stat", status_level="residual")) as world:
+        for number in range(10):
+            world.solver.publish(SOL, solution(number))
+    assert (tmp_path / "out").read_bytes().count(b"$POS") == 10
+
+
 def test_headers_tell_the_options_of_the_solver() -> None:
     solver = SolverTable(rover="a", base="b", mode="static", frequencies=3, systems="GE", elevation_mask_deg=10.0)
     told = dict(about(solver).options)

@@ -1,11 +1,13 @@
 """What an output tells of its target: one event when it fails, falls behind, or is well again."""
 
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 from rtkmesh_schemas.status import Level, State
 from rtkmesh_services.output.sinks import Sink
 from rtkmesh_services.runtime.service import Context
 
+DRAIN_NS: Final = 300_000_000  # what had come before the end is still sent, if it does not take longer
 BEHIND_NS: Final = 10_000_000_000  # so long after the last loss a target counts as slow
 
 
@@ -58,3 +60,10 @@ class Watch:
         else:
             lost = f"; {self._lost} were dropped" if self._lost else ""
             self._context.event(Level.INFO, code, f"the target takes everything again{lost}")
+
+
+def drain(context: Context, handle: Callable[[Any], None]) -> None:
+    """Handle what is in the inbox at the end: the last epochs of a replay are as good as the first."""
+    until_ns = context.clock.mono_ns() + DRAIN_NS
+    while context.clock.mono_ns() < until_ns and (item := context.inbox.get(0.0)) is not None:
+        handle(item)
