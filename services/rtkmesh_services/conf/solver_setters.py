@@ -24,10 +24,20 @@ _SOLID_TIDES: Final = 1
 _LEAST_AMBIGUITIES: Final = 3
 # what is done here whatever the file says; another value alters the result
 _DONE: Final = {
-    "pos1-ionoopt": ("brdc",), "pos1-tropopt": ("saas", "est-ztd"), "pos1-sateph": ("brdc",), "pos1-posopt2": ("on",),
-    "pos1-posopt5": ("on",), "pos2-gloarmode": ("on", "autocal", "fix-and-hold"), "pos2-bdsarmode": ("on",), "pos2-arfilter": ("on",),
+    "pos1-ionoopt": ("brdc",), "pos1-tropopt": ("saas", "est-ztd"), "pos1-sateph": ("brdc",),
+    "pos2-gloarmode": ("on", "autocal", "fix-and-hold"), "pos2-bdsarmode": ("on",), "pos2-arfilter": ("on",),
 }  # fmt: skip
-_HARMLESS: Final = {"pos1-posopt1", "pos1-posopt3", "pos1-posopt4", "pos1-posopt6", "pos2-armaxiter", "stats-prnpos"}
+_HARMLESS: Final = {
+    "pos1-posopt1",
+    "pos1-posopt3",
+    "pos1-posopt2",
+    "pos1-posopt4",
+    "pos1-posopt5",
+    "pos1-posopt6",
+    "pos2-armaxiter",
+    "pos2-niter",
+    "stats-prnpos",
+}
 
 
 def change_of(table: SolverTable, row: Row, text: str, dialect: Dialect) -> Change:
@@ -91,8 +101,10 @@ def _excluded(table: SolverTable, row: Row, text: str, dialect: Dialect) -> Chan
             raise ConfError(f"{row.name}: {clip(word)!r} is no satellite such as G05")
         (forced if match[1] else names).append(f"{match[2]}{number:02d}")
     if forced:
-        return Change(row.fate, f"unhealthy satellites are never used: {' '.join(forced)} is not forced", {"excluded": names}, alters=True)
-    return taken("", excluded=names)
+        return Change(
+            row.fate, f"unhealthy satellites are never used: {' '.join(forced)} is not forced", {"excluded": tuple(names)}, alters=True
+        )
+    return taken("", excluded=tuple(names))
 
 
 def _mask_switch(table: SolverTable, row: Row, text: str, dialect: Dialect) -> Change:
