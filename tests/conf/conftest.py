@@ -1,5 +1,6 @@
 """A .conf file of rtkrcv that uses most of what it can: lines are replaced by name."""
 
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -98,3 +99,16 @@ def rtkrcv() -> Callable[..., bytes]:
 def confs(data: Path) -> list[Path]:
     """The .conf files that users of rtkrcv_ros, demo5 and 2.4.1 start from."""
     return sorted((data / "conf").glob("*/*.conf"))
+
+
+@pytest.fixture(scope="session")
+def free_port() -> Callable[[], int]:
+    """A function that returns a loopback port that nobody listens on."""
+
+    def port() -> int:
+        with socket.socket() as listener:
+            listener.bind(("127.0.0.1", 0))
+            number: int = listener.getsockname()[1]
+            return number
+
+    return port

@@ -8,25 +8,9 @@ from rtkmesh_services.conf.import_inputs import INPUTS, credentials
 from rtkmesh_services.conf.paths import file_path, network_path, serial_path
 from rtkmesh_services.conf.report import Draft
 from rtkmesh_services.conf.rows import Fate
+from rtkmesh_services.conf.text_keys import TEXTS
 from rtkmesh_services.errors import ConfError
 
-_TABLES: Final = ("llh", "xyz", "enu", "vel_enu")
-# key -> (key of our table, formats that it is of, our value where it is not RTKLIB's word); our default is not written
-_TEXTS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
-    "out-outhead": ("header", _TABLES),
-    "out-outopt": ("header_options", _TABLES),
-    "out-outvel": ("velocity", ("llh", "xyz")),
-    "out-timesys": ("time_system", _TABLES),
-    "out-timeform": ("time_form", _TABLES),
-    "out-timendec": ("time_decimals", _TABLES),
-    "out-degform": ("angles", ("llh",)),
-    "out-fieldsep": ("separator", _TABLES),
-    "out-height": ("height", ("llh",)),
-    "out-outsingle": ("single", (*_TABLES, "nmea")),
-    "out-maxsolstd": ("max_sigma_m", (*_TABLES, "nmea")),
-    "out-nmeaintv1": ("nmea_interval_s", ("nmea",)),
-    "out-nmeaintv2": ("nmea_satellites_interval_s", ("nmea",)),
-}
 _DEFAULTS: Final[dict[str, Any]] = {
     "header": "on", "header_options": False, "velocity": False, "time_system": "gpst", "time_form": "hms", "time_decimals": 3,
     "angles": "deg", "separator": " ", "height": "ellipsoidal", "single": False, "max_sigma_m": 0.0, "nmea_interval_s": 0.0,
@@ -164,7 +148,7 @@ def _ros(draft: Draft, key: str, id_: str) -> None:
 
 def _write_texts(draft: Draft, id_: str, form: str) -> None:
     """Enter how an output is written, where it is not our default."""
-    for key, (name, formats) in _TEXTS.items():
+    for key, (name, formats) in TEXTS.items():
         if form in formats and (value := _text_value(draft, key, name)) != _DEFAULTS[name]:
             draft.put(("output", id_, name), value, key)
     if form == "nmea":
@@ -184,7 +168,7 @@ def _text_value(draft: Draft, key: str, name: str) -> Any:
 
 
 def _say_texts(draft: Draft, formats: set[str]) -> None:
-    for key, (name, of) in _TEXTS.items():
+    for key, (name, of) in TEXTS.items():
         if formats & set(of):
             draft.note(key, Fate.TAKEN, f"output.*.{name}")
         else:

@@ -53,7 +53,7 @@ ROWS: Final = (
     *_LOGS,
     Row("misc-svrcycle", _INT, "10", _I, "", "nothing here runs in cycles: an epoch is solved when its last byte has come"),
     Row("misc-timeout", _INT, "10000", _R, "ingest.*.source", "?timeout of the URLs, in seconds"),
-    Row("misc-reconnect", _INT, "10000", _I, "", "a lost source is tried again after 0.2 s, then rarer, up to 30 s"),
+    Row("misc-reconnect", _INT, "10000", _I, "", "a lost source is opened again after 0.1 to 0.5 s, a caster after 1 to 60 s"),
     Row("misc-nmeacycle", _INT, "5000", _R, "ingest.base.source", "?gga_period of the URL, in seconds"),
     Row("misc-buffsize", _INT, "32768", _I, "", "buffers grow with the frames, up to a bound"),
     Row("misc-navmsgsel", _ENUM, "all", _I, "", "ephemerides of all sources are used, the newest and soundest of each satellite", None, c.NAVIGATION),
