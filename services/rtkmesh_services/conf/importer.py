@@ -8,11 +8,12 @@ import msgspec
 
 from rtkmesh_schemas.config import Deployment, SolverTable
 from rtkmesh_services.conf.conf_file import ConfFile
-from rtkmesh_services.conf.import_antennas import import_antennas
+from rtkmesh_services.conf.import_antennas import given_position, import_antennas
 from rtkmesh_services.conf.import_inputs import import_inputs
 from rtkmesh_services.conf.import_outputs import import_outputs
 from rtkmesh_services.conf.import_solver import import_solver
 from rtkmesh_services.conf.parser import Said
+from rtkmesh_services.conf.places import Vector
 from rtkmesh_services.conf.report import Became, Draft, Path, ReportRow
 from rtkmesh_services.conf.rows import Fate
 from rtkmesh_services.conf.toml_text import toml_text
@@ -27,7 +28,7 @@ class Imported:
     """``streams``: whether the file has streams; one without (of rnx2rtkp) gives the table [solver] alone, for solve and load.
 
     ``secrets``: variables of the environment -> what the file had in their place; ``open``: variables -> what is wanted there.
-    ``base_ecef_m``: where the base is, of a file without streams.
+    ``base_ecef_m``: where the file says that the base is.
     """
 
     conf: ConfFile
@@ -39,6 +40,7 @@ class Imported:
     secrets: dict[str, str]
     open: dict[str, str]
     streams: bool
+    base_ecef_m: Vector | None = None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -72,8 +74,10 @@ def import_conf(conf: ConfFile, name: str = "") -> Imported:
     else:
         _without_streams(draft)
     tables = draft.tables if streams else {"solver": {**draft.tables["solver"][draft.solver_id]}}
+    table = msgspec.convert(draft.tables["solver"][draft.solver_id], SolverTable)
     said = sorted(conf.said, key=lambda row: row.line or 0)
-    imported = Imported(conf, _ordered(tables), table, draft.finished(), said, draft.origins, draft.secrets, draft.open, streams)
+    place = None if table.mode == "moving-base" else given_position(draft, "2")
+    imported = Imported(conf, _ordered(tables), table, draft.finished(), said, draft.origins, draft.secrets, draft.open, streams, place)
     _check(imported)
     return imported
 
