@@ -164,6 +164,20 @@ def diff(
     return EXIT_DIFFERENT if rows else EXIT_OK
 
 
+def keys(
+    *,
+    write: Annotated[Path | None, Parameter(help="Write the page there (docs/reference/conf_keys.md). Default: standard output.")] = None,
+) -> int:
+    """Print what becomes of every key of RTKLIB's .conf files, as Markdown."""
+    from rtkmesh_services.conf.reference import conf_keys_page
+
+    if write is not None:
+        write.write_text(conf_keys_page(), encoding="utf-8")
+    else:
+        sys.stdout.write(conf_keys_page())
+    return EXIT_OK
+
+
 def _side(setting: "Setting | None") -> str:
     return "not there" if setting is None else f"{_plain(setting.value)}  # {setting.origin}"
 
@@ -188,5 +202,6 @@ for function, examples, name_ in (
     (export, "rtkmesh conf export robot.toml --solver rtk --dialect 2.4 --out rtkrcv.conf", "export"),
     (show, "rtkmesh conf show robot.toml --solver rtk", "show"),
     (diff, "rtkmesh conf diff rtkrcv.conf robot.toml", "diff"),
+    (keys, "rtkmesh conf keys", "keys"),
 ):
     app.command(command_page(function, examples, name=name_))

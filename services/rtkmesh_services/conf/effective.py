@@ -9,7 +9,7 @@ import msgspec
 
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_services.conf.conf_file import DialectWish, read_conf
-from rtkmesh_services.conf.importer import DEFAULT_ID, import_conf
+from rtkmesh_services.conf.importer import import_conf
 from rtkmesh_services.conf.report import MASKED
 from rtkmesh_services.conf.solver_setters import ENGINE_DEFAULTS
 from rtkmesh_services.conf.unexpanded import load_unexpanded
@@ -35,8 +35,7 @@ def settings_of(path: Path, dialect: DialectWish = "auto") -> dict[str, Setting]
         deployment, lines = load_unexpanded(path)
         return _settings(deployment, lines)
     imported = import_conf(read_conf(path, dialect))
-    tables = imported.tables if imported.streams else {"solver": {DEFAULT_ID: imported.tables["solver"]}}
-    return _settings(msgspec.convert(tables, Deployment), dict(imported.origins))
+    return _settings(imported.deployment, imported.origins)
 
 
 def _settings(deployment: Deployment, lines: dict[tuple[str, ...], int]) -> dict[str, Setting]:

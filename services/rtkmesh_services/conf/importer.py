@@ -49,6 +49,12 @@ class Imported:
         return {became.value: counts[became] for became in Became}
 
     @property
+    def deployment(self) -> Deployment:
+        """The tables as a deployment, references to the environment as they stand there; of a solver alone: with its usual id."""
+        tables = self.tables if self.streams else {"solver": {DEFAULT_ID: self.tables["solver"]}}
+        return msgspec.convert(tables, Deployment)
+
+    @property
     def toml(self) -> str:
         """The deployment, or the solver, as a file of ours."""
         return "\n".join([*self._head(), "", toml_text(self.tables)])
@@ -131,8 +137,7 @@ def _without_streams(draft: Draft) -> None:
 
 def _check(imported: Imported) -> None:
     """ConfError if what was made is no deployment: a fault of ours, not of the file."""
-    tables = imported.tables if imported.streams else {"solver": {DEFAULT_ID: imported.tables["solver"]}}
     try:
-        _ = msgspec.convert(tables, Deployment)
+        _ = imported.deployment
     except msgspec.ValidationError as error:
         raise ConfError(f"{imported.conf.name}: gives no deployment: {error}") from error
