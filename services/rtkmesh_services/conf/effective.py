@@ -13,7 +13,7 @@ from rtkmesh_services.conf.importer import import_conf
 from rtkmesh_services.conf.report import MASKED
 from rtkmesh_services.conf.solver_setters import ENGINE_DEFAULTS
 from rtkmesh_services.conf.unexpanded import load_unexpanded
-from rtkmesh_services.runtime.deployment_checks import MULTIPLE
+from rtkmesh_services.runtime.deployment_checks import NAMED
 
 _CREDENTIALS: Final = re.compile(r"^([a-z-]+://[^:/?@]*):(.*)@(?=[^@]*$)", re.DOTALL)
 _REFERENCE: Final = re.compile(r"\$\{\w+\}")
@@ -42,7 +42,7 @@ def _settings(deployment: Deployment, lines: dict[tuple[str, ...], int]) -> dict
     found: dict[str, Setting] = {}
     content: dict[str, Any] = msgspec.to_builtins(deployment)
     for role, table in content.items():
-        rows = {(role, name): row for name, row in table.items()} if role in MULTIPLE else {(role,): table}
+        rows = {(role, name): row for name, row in table.items()} if role in NAMED else {(role,): table}
         for path, row in rows.items():
             for key, value in _leaves(row, path):
                 name = ".".join(key)
