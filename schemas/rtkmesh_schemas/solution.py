@@ -81,6 +81,7 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     float_acceleration_ecef_mps2: Vector = (float("nan"), float("nan"), float("nan"))
     zenith_delays_m: tuple[float, float] = (float("nan"), float("nan"))
     glonass_slope_m: float = float("nan")
+    base_station_id: int = 0
 
 
 class SatellitesMessage(Wire, frozen=True, kw_only=True):

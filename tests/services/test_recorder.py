@@ -9,7 +9,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -95,18 +94,6 @@ def test_without_a_list_all_receivers_are_recorded(tmp_path: Path):
         recorder.send(FRAMES[0], name)
     recorder.life.finish()
     assert sorted(path.name.split("-")[0] for path in tmp_path.glob("*.rtcm3")) == ["base", "rover"]
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of a quarter of a megabyte."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "rtkmesh-test", str(folder)], capture_output=True, check=False)
-    if mounted.returncode:
-        pytest.skip(f"cannot mount a tmpfs: {mounted.stderr.decode().strip()}")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def test_a_full_disk_stops_the_recording_between_frames_and_room_brings_it_back(small_disk: Path):

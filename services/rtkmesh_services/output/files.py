@@ -44,6 +44,7 @@ class FileSink:
         utc_ns, mono_ns = self._clock.utc_ns(), self._clock.mono_ns()
         self._preface.add(data, mono_ns * 1e-9)
         log = self._current(utc_ns)
+        self._end_last(utc_ns)
         attachment = ATTACHMENT.pack(self._sent, utc_ns, mono_ns)
         if self._last is not None:
             self._last.append(data, attachment)
@@ -56,9 +57,7 @@ class FileSink:
         """Open the first file, close the last one, go on in a new one where one may not grow."""
         utc_ns = self._clock.utc_ns()
         log = self._current(utc_ns)
-        if self._last is not None and self._number(utc_ns - self._margin_ns) != self._last.number:
-            self._writer.end(self._last)
-            self._last = None
+        self._end_last(utc_ns)
         if log is not None and log in self._writer.full:
             self._create(utc_ns, log.number, log)
 
@@ -88,6 +87,11 @@ class FileSink:
         if made is not None:
             self._last = last
         return made or last
+
+    def _end_last(self, utc_ns: int) -> None:
+        if self._last is not None and self._number(utc_ns - self._margin_ns) != self._last.number:
+            self._writer.end(self._last)
+            self._last = None
 
     def _create(self, utc_ns: int, number: int, instead_of: RawLog | None) -> RawLog | None:
         now_ns = self._clock.mono_ns()

@@ -13,7 +13,7 @@ from rtkmesh_services.output.caster_sink import CasterSink
 from rtkmesh_services.output.opening import open_caster, open_sink
 from rtkmesh_services.output.sender import Header
 from rtkmesh_services.output.targets import check_output
-from rtkmesh_services.output.watch import Watch
+from rtkmesh_services.output.watch import Watch, drain
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.service import Context, Report, Service
 
@@ -73,7 +73,8 @@ class FrameOutputService(Service):
         return Report(state=self._watch.state, reason=self._watch.reason, inputs=self._watch.sink.statuses(), counters=counters)
 
     def close(self) -> None:
-        """Close the target."""
+        """Send the rest and close the target."""
+        drain(self.context, self.handle)
         if self._watch is not None:
             self._watch.close()
 

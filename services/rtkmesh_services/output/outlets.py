@@ -3,6 +3,7 @@
 import os
 import select
 import socket
+from contextlib import suppress
 from typing import Any, Final, Protocol
 
 import serial
@@ -16,6 +17,7 @@ from rtkmesh_services.runtime.serial_device import find_port, open_port, read_po
 
 CONNECT_S: Final = 5.0
 SEND_S: Final = 10.0  # who takes nothing for so long is given up
+SEND_BUFFER: Final = 65536  # what is in there can be dropped no more
 READ_BYTES: Final = 65536
 MAXIMUM_DATAGRAM: Final = 65507
 
@@ -57,6 +59,7 @@ class SocketOutlet:
         self._socket, self.detail = connection, detail
         connection.settimeout(SEND_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
 
     def write(self, data: bytes) -> None:
         """Send all of it; TimeoutError when the other side takes too little."""
@@ -72,7 +75,9 @@ class SocketOutlet:
                 raise ConnectionError("closed by the other side")
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the socket; a write that waits ends."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
 

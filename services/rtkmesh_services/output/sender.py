@@ -106,6 +106,7 @@ class Sender:
         self._opener = opener
         self.pump = Pump(preface, maximum_age_s)
         self.state, self.detail, self.errors = "connecting", opener.name, 0
+        self._outlet: Outlet | None = None
         self._thread = threading.Thread(target=self._run, daemon=True, name="sender")
         self._thread.start()
 
@@ -122,6 +123,8 @@ class Sender:
         """End the thread; what waits has a little time to leave."""
         self.pump.stop()
         self._thread.join(wait_s)
+        if self._thread.is_alive() and (outlet := self._outlet) is not None:
+            outlet.close()
 
     def _run(self) -> None:
         pauses = Pauses(self._opener.backoff)
@@ -137,7 +140,7 @@ class Sender:
             self.pump.stopping.wait(pause_s)
 
     def _serve(self) -> None:
-        outlet = self._opener.open()
+        outlet = self._outlet = self._opener.open()
         try:
             self.state, self.detail = "connected", outlet.detail
             self.pump.run(outlet, preface=self._opener.has_preface)

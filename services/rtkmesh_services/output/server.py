@@ -21,6 +21,13 @@ class Client:
         self.thread = threading.Thread(target=self._run, daemon=True, name=f"client {address}")
         self.thread.start()
 
+    def close(self, wait_s: float) -> None:
+        """End; what waits has a little time to leave."""
+        self.pump.stop()
+        self.thread.join(wait_s)
+        if self.thread.is_alive():
+            self._outlet.close()
+
     def _run(self) -> None:
         with suppress(SourceError, OSError):
             self.pump.run(self._outlet)
@@ -66,8 +73,9 @@ class TcpServer:
         clients = self.clients()
         for client in clients:
             client.pump.stop()
-        for thread in (self._thread, *(client.thread for client in clients)):
-            thread.join(CLOSE_S / (1 + len(clients)))
+        for client in clients:
+            client.close(CLOSE_S / len(clients))
+        self._thread.join(POLL_S)
 
     def _run(self) -> None:
         while not self._stopping.is_set():

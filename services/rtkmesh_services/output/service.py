@@ -14,7 +14,7 @@ from rtkmesh_services.output.opening import open_caster, open_sink
 from rtkmesh_services.output.sender import Header
 from rtkmesh_services.output.targets import check_output
 from rtkmesh_services.output.text_feed import TextFeed
-from rtkmesh_services.output.watch import Watch
+from rtkmesh_services.output.watch import Watch, drain
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.service import Context, Report, Service
 
@@ -92,6 +92,7 @@ class OutputService(Service):
 
     def close(self) -> None:
         """Write the rest and close the target."""
+        drain(self.context, self.handle)
         self._send(self._feed.rest())
         if self._watch is not None:
             self._watch.close()

@@ -48,10 +48,10 @@ def enu_rotation(lat_rad: float, lon_rad: float) -> Matrix:
 
 
 def turned(rotation: Matrix, vector: Sequence[float]) -> Vector:
-    """Return a vector in another frame."""
+    """Return a vector in another frame. Sums begin at 0.0, as RTKLIB's do: they are never -0.0 then."""
     a, b, c, d, e, f, g, h, i = rotation
     x, y, z = vector
-    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+    return 0.0 + a * x + b * y + c * z, 0.0 + d * x + e * y + f * z, 0.0 + g * x + h * y + i * z
 
 
 def turned_covariance(rotation: Matrix, covariance: Matrix) -> Matrix:

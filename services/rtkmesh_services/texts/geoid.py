@@ -9,18 +9,17 @@ from array import array
 from functools import lru_cache
 from importlib.resources import files
 from itertools import accumulate
-from math import pi
+from math import degrees
 from typing import Final
 
 _PARALLELS: Final = 181
 _MERIDIANS: Final = 361
-_DEGREES: Final = 180.0 / pi
 _MILLIMETRES: Final = 1000.0
 
 
 def geoid_height_m(lat_rad: float, lon_rad: float) -> float:
     """Return the height of the geoid above the ellipsoid (m), as RTKLIB's geoidh with its internal model: 0 in a place that is none."""
-    lat_deg, lon_deg = lat_rad * _DEGREES, lon_rad * _DEGREES
+    lat_deg, lon_deg = degrees(lat_rad), degrees(lon_rad)
     if lon_deg < 0.0:
         lon_deg += 360.0
     if not (0.0 <= lon_deg <= 360.0 - 1e-12 and -90.0 <= lat_deg <= 90.0):

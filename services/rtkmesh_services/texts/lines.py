@@ -5,7 +5,7 @@ north-east-up, the others as they are called. What is not known is written as 0.
 """
 
 from collections.abc import Sequence
-from math import floor, isfinite, pi, sqrt
+from math import degrees, floor, isfinite, sqrt
 from typing import Final
 
 from rtkmesh_schemas.solution import SolutionMessage
@@ -18,7 +18,6 @@ from rtkmesh_services.texts.times import time_column
 _OF_ECEF: Final = (0, 4, 8, 1, 5, 2)
 _OF_ENU: Final = (0, 4, 8, 3, 7, 6)
 _OF_NEU: Final = (4, 0, 8, 3, 6, 7)
-_DEGREES: Final = 180.0 / pi
 _DMS_UNIT: Final = 0.1**5
 
 
@@ -38,7 +37,7 @@ def _llh(solution: SolutionMessage, options: TextOptions) -> list[str]:
     if options.height == "geodetic":
         height_m -= geoid_height_m(lat_rad, lon_rad)
     deviations = _deviations(turned_covariance(rotation, solution.position_cov_ecef_m2), _OF_NEU)
-    fields = [*_angle(lat_rad * _DEGREES, options), *_angle(lon_rad * _DEGREES, options), f"{height_m:10.4f}"]
+    fields = [*_angle(degrees(lat_rad), options), *_angle(degrees(lon_rad), options), f"{height_m:10.4f}"]
     fields += _quality(solution, deviations)
     if options.velocity:
         east, north, up = turned(rotation, solution.velocity_ecef_mps)

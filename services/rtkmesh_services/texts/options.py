@@ -29,7 +29,7 @@ class TextOptions:
     llh and xyz [out-outvel]. ``geoid`` is the model, ``internal`` is the only one [out-geoid].
 
     ``header``: on, off (RTKLIB's: the line with the column names stays) or none [out-outhead]; ``header_options``: the options in it
-    [out-outopt]. ``dialect``: demo5 (as 2.4.3 b34: CR LF) or 2.4 (as 2.4.2: LF); ``line_end`` overrules its line ends.
+    [out-outopt]. ``dialect``: demo5 (llh, xyz and enu end in CR LF, as 2.4.3 b34's) or 2.4 (LF, as 2.4.2's); ``line_end`` overrules it.
 
     ``nmea``: what NMEA 0183 says, or what RTKLIB writes; ``talker`` of RMC, GGA and GST; ``interval_s`` of these three
     [out-nmeaintv1] and ``satellites_interval_s`` of GSA and GSV [out-nmeaintv2] in seconds: 0 every epoch, below 0 never.
@@ -65,4 +65,4 @@ class TextOptions:
         """The end of lines that are not NMEA."""
         if self.line_end != "dialect":
             return LF if self.line_end == "lf" else CRLF
-        return CRLF if self.dialect == "demo5" and self.format != "vel_enu" else LF
+        return CRLF if self.dialect == "demo5" and self.format in ("llh", "xyz", "enu") else LF
