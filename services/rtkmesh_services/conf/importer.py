@@ -121,7 +121,7 @@ def _missing(draft: Draft, name: str, table: SolverTable) -> None:
 
 def _console(draft: Draft) -> None:
     text = draft.conf.text("console-passwd")
-    why = "rtkrcv's console has its own table, [telnet]: say the password there, as ${RTKMESH_CONSOLE_PASSWORD}"
+    why = "rtkrcv's console has its own table, [telnet.ID]: say the password there, as ${RTKMESH_CONSOLE_PASSWORD}"
     draft.note("console-passwd", Fate.TRANSLATED, "telnet", why if text else "no password")
 
 

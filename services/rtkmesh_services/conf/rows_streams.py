@@ -40,7 +40,7 @@ _LOGS: Final = tuple(
     )
 )
 ROWS: Final = (
-    Row("console-passwd", _TEXT, "admin", _R, "", "say it in [telnet] of the deployment, as a reference to the environment"),
+    Row("console-passwd", _TEXT, "admin", _R, "", "say it in [telnet.ID] of the deployment, as a reference to the environment"),
     Row("console-timetype", _ENUM, "gpst", _I, "", _CONSOLE, None, c.CONSOLE_TIMES),
     Row("console-soltype", _ENUM, "dms", _I, "", _CONSOLE, None, c.CONSOLE_FORMS),
     Row("console-solflag", _INT, "2", _I, "", _CONSOLE),
