@@ -43,7 +43,7 @@ def import_(
     said in the environment (passwords, paths that are none). A file without streams (of rnx2rtkp) gives the one table [solver], for
     `rtkmesh solve --config`.
 
-    Exit codes: 0 imported, 1 imported, but there are lines that RTKLIB does not understand either, 2 nothing written.
+    Exit codes: 0 imported, 1 imported, but without lines that are not understood, 2 nothing written.
     """
     from rtkmesh_services.cli.conf_files import write_secrets
     from rtkmesh_services.cli.conf_report import print_report, report_json

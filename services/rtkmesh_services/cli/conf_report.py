@@ -15,7 +15,7 @@ def print_report(imported: Imported, *, every: bool = False) -> None:
     lines = [f"{conf.name}: dialect {conf.dialect}: {conf.guess.why}"]
     if conf.guess.against:
         lines.append(f"  but: {conf.guess.against}; say --dialect if that is the right one")
-    lines += ["", "not understood by RTKLIB either:"] * bool(conf.wrong) + [row.shown(conf.name) for row in conf.wrong]
+    lines += ["", "lines that are not understood:"] * bool(conf.wrong) + [row.shown(conf.name) for row in conf.wrong]
     others = [row for row in imported.said if not row.wrong]
     lines += ["", "noted:"] * bool(others) + [row.shown(conf.name) for row in others]
     altered = [row for row in imported.rows if row.alters]

@@ -15,6 +15,7 @@ from rtkmesh_services.runtime.words import clip, nearest
 
 OURS: Final = "written by rtkmesh"  # in the title of a file that we exported: all of its values are meant
 _SHORTEST: Final = 4
+_REFERENCES: Final = ("${", "{data}")
 _ALIAS: Final = "pos2-rejionno"
 
 DialectWish = Literal["auto", "2.4", "demo5"]
@@ -38,7 +39,7 @@ class ConfFile:
 
     @property
     def wrong(self) -> list[Said]:
-        """What RTKLIB does not do although a line says so, by line."""
+        """What is wrong in the file, by line."""
         return sorted((row for row in self.said if row.wrong), key=lambda row: row.line or 0)
 
     def text(self, name: str) -> str:
@@ -128,6 +129,8 @@ def _tell_traps(conf: ConfFile, row: Row, line: Line) -> None:
         conf.say(row.name, f"{row.name}: RTKLIB does not know {line.value!r} with the blank before it and uses its default; here it counts")
     elif line.blank and row.kind is Kind.TEXT:
         conf.say(row.name, f"{row.name}: RTKLIB keeps the blank before the text; here it is left out")
+    if any(mark in line.value for mark in _REFERENCES):
+        conf.say(row.name, f"{row.name}: ${{NAME}} and {{data}} are replaced in a deployment file, RTKLIB takes them as they are")
     if row.kind is Kind.CHOICE and row.choices is not None and line.value.isdecimal() and int(line.value) in row.choices.differing:
         conf.say(
             row.name, f"{row.name}: {line.value} is {value_of(row, line.value, conf.dialect)} in {conf.dialect}, not in the other dialect"

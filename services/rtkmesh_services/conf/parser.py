@@ -14,7 +14,7 @@ _NEWLINE: Final = re.compile(r"\r\n|\n|\r")
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Something about a line: ``wrong`` where RTKLIB does not do what the line says."""
+    """Something about a line: ``wrong`` where it does nothing, in RTKLIB or here."""
 
     line: int | None
     key: str
