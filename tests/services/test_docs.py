@@ -16,7 +16,7 @@ from rtkmesh_services.cli.main import COMMANDS, application
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "benchmarks" / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
-MADE = {REPOSITORY / "docs" / "reference" / "keys.md"}  # generated, has a test of its own
+MADE = {REPOSITORY / "docs" / "reference" / name for name in ("keys.md", "conf_keys.md")}  # generated, have tests of their own
 
 # What the fragments of how-tos refer to.
 SURROUNDINGS = {

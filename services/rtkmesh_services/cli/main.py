@@ -29,6 +29,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "top": ("rtkmesh_services.cli.top:app", "Watch a running network: positions, headings, processes."),
     "echo": ("rtkmesh_services.cli.echo:app", "Print messages as they come."),
     "check": ("rtkmesh_services.cli.check:app", "Check a deployment file: every fault with line, key and nearest name."),
+    "conf": ("rtkmesh_services.cli.conf:app", "Import, export, show and compare configurations, RTKLIB's .conf files among them."),
     "receiver": ("rtkmesh_services.cli.receiver:app", "Set up a receiver by a recipe, and read back what it says."),
     "ports": ("rtkmesh_services.cli.ports:app", "Show the serial ports, and who is behind them."),
     "base": ("rtkmesh_services.cli.base:app", "Show, save and forget the positions of base stations of this host."),

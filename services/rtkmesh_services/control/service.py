@@ -11,6 +11,7 @@ from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.control.automation import Automation, RuleSample
+from rtkmesh_services.control.examination import examine
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
@@ -126,6 +127,8 @@ class ControlService(Service):
             self._deployment.control,
         ):
             return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
+        if deployment != self._deployment and (faults := examine(self._options.file, self._options.data_folder)):
+            return refused(Code.BAD_ARGUMENTS, f"nothing is changed: {faults}")
         self._deployment = deployment
         self._apply_rules()
         changes = self._keeper.apply(specs_of(deployment, self._options))

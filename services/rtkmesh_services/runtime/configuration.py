@@ -150,7 +150,7 @@ class _Reader:
         try:
             self.raw: dict[str, Any] = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise ConfigErrors([_syntax_error(file, error)]) from error
+            raise ConfigErrors([_syntax_error(file, text, error)]) from error
         self._lines = lines_of(text)
         self.raw = self._expanded(self.raw, ())
 
@@ -313,10 +313,10 @@ def _read_below(name: str, folder: Path) -> str:
     return _decoded(data, name)
 
 
-def _syntax_error(file: str, error: Exception) -> ConfigError:
+def _syntax_error(file: str, text: str, error: Exception) -> ConfigError:
     match = re.search(r" \(at line (\d+), column (\d+)\)$", str(error))
-    if match is None:
-        return ConfigError(file, None, f"no TOML: {error}")
+    if match is None:  # at the end of the document
+        return ConfigError(file, text.rstrip().count("\n") + 1, f"no TOML: {error}")
     return ConfigError(file, int(match[1]), f"no TOML: {str(error)[: match.start()]} (column {match[2]})")
 
 
@@ -371,6 +371,7 @@ def _literals(annotation: Any) -> list[Any]:
 
 def _plain(message: str) -> str:
     names = {"`str`": "text", "`float`": "a number", "`int`": "a whole number", "`bool`": "true or false", "`array`": "a list"}
+    message = message.replace(" | null`", "`")
     for word, plain in names.items():
         message = message.replace(word, plain)
     return (message[0].lower() + message[1:]).replace("`", "")
