@@ -9,7 +9,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from rtkmesh.codecs.decimation import Decimator
+from rtkmesh.gnss.decimation import Decimator
 from rtkmesh.codecs.messages import Message
 from rtkmesh.codecs.rtcm3_base import BaseEncoder, BaseOptions, at_whole_milliseconds
 from rtkmesh.codecs.rtcm3_thinning import LAST_STEP, ONE_PER_BAND, TWO_BANDS, thinned
