@@ -13,11 +13,14 @@ def toml_table(name: str, table: msgspec.Struct) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """Return a plain value (text, number, truth value, list of such) in TOML."""
+    """Return a plain value (text, number, truth value, list of such) in TOML; TypeError for another, ValueError for no Unicode."""
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(toml_value(item) for item in value)}]"  # pyright: ignore[reportUnknownVariableType]  plain values
+    if not isinstance(value, (bool, str, int, float)):
+        raise TypeError(f"{type(value).__name__} is no value of an option")
     if isinstance(value, (bool, str)):
-        return json.dumps(value).replace("\x7f", "\\u007f")
+        text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return text.encode().decode()
     return repr(value)
 
 

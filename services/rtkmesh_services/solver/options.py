@@ -59,7 +59,7 @@ def with_option(table: SolverTable, name: str, value: Any) -> SolverTable:
 def _readings(value: Any) -> list[Any]:
     """Return what a value may mean: text from a console may be a number, a truth value or a list."""
     if not isinstance(value, str):
-        return [list(value) if isinstance(value, tuple) else value]
+        return [value]
     text = value.strip()
     if not text:
         return [None]
@@ -85,7 +85,7 @@ def _checked(name: str, value: Any) -> Any:
     try:
         line = f"{name} = {toml_value(value)}"
     except (TypeError, ValueError) as error:
-        raise ConfigError(name, None, f"{type(value).__name__} is no value of an option") from error
+        raise ConfigError(name, None, str(error)) from error
     table = parse_solver_table(f'[solver]\nrover = "rover"\n{line}\n', name)
     return options_of(table)[name]
 
@@ -113,4 +113,6 @@ def shown(value: Any) -> str:
         return ""
     if isinstance(value, (list, tuple)):
         return ",".join(str(item) for item in value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  plain values
-    return ("on" if value else "off") if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) and abs(value) < 1e5 else str(value)
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
