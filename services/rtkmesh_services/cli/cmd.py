@@ -15,7 +15,7 @@ _POSITIONAL = {
     "load": ("file",),
     "log": ("level",),
     "get": ("key",),
-    "set": ("name", "value"),
+    "set": ("key", "value"),
     "option": ("pattern",),
     "save": ("file",),
     "mode": ("mode",),

@@ -285,7 +285,7 @@ class SolverService(Service):
     def _check(self, table: SolverTable) -> None:
         """Refuse (ConfigError) what the engine refuses, before anything is changed."""
         with self._refusals():
-            Session(self._session_options(table))
+            Session(self._session_options(table), self.session.table)
 
     def _go_on(self, table: SolverTable) -> Continuation:
         """Let the filter go on under other options, or say why it cannot."""

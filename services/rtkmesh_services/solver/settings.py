@@ -13,6 +13,7 @@ from rtkmesh_schemas.command import Code
 from rtkmesh_schemas.config import SolverTable
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_services.conf.solver_keys import SOLVER_ROWS, solver_options, with_solver_option
+from rtkmesh_services.conf.solver_setters import effective
 from rtkmesh_services.errors import CommandError, ConfError
 from rtkmesh_services.runtime.configuration import MAXIMUM_SOLVER_FILE, load_solver_table
 from rtkmesh_services.runtime.files_below import read_below, write_below
@@ -96,11 +97,14 @@ class Settings:
         return len(text.encode())
 
     def told(self, pattern: str) -> dict[str, dict[str, Any]]:
-        """Return the options whose names have ``pattern`` in them (``*`` and ``?`` as in file names), with the value after a restart."""
+        """Return the options whose names have ``pattern`` in them (``*`` and ``?`` as in file names): what the engine uses, and what waits."""
         now, then = options_of(self.active), options_of(self.pending)
         wanted = f"*{pattern}*" if pattern else "*"
         return {
-            name: {"value": now[name], **({"pending": then[name]} if then[name] != now[name] else {})}
+            name: {
+                "value": effective(self.active, name),
+                **({"pending": effective(self.pending, name)} if then[name] != now[name] else {}),
+            }
             for name in now
             if fnmatchcase(name, wanted)
         }

@@ -142,7 +142,7 @@ class Words:
         return stream_rows(solver.settings.active, solver.context.deployment, solver.neighbours)
 
     def _option(self, args: dict[str, Any]) -> Reply:
-        options = self._solver.settings.told(str(args.get("pattern", ""))[:100])
+        options = self._solver.settings.told(str(args.get("pattern") or args.get("key") or "")[:100])
         lines = [
             f"{'*' if 'pending' in option else ' '}{name:<32s} ={shown(option.get('pending', option['value']))}\n"
             for name, option in options.items()
@@ -150,7 +150,7 @@ class Words:
         return told(done(f"{len(options)} options", options=options), "".join(lines))
 
     def _set(self, args: dict[str, Any]) -> Reply:
-        name = str(args.get("name", ""))
+        name = str(args.get("name") or args.get("key") or "")
         if not name:
             raise CommandError(Code.BAD_ARGUMENTS, "specify option type: set NAME VALUE")
         try:
@@ -202,8 +202,8 @@ class Words:
         if not self._solver.running or solution is None or solution.status is Status.NONE:
             raise CommandError(Code.WRONG_STATE, "no solution yet: there is no place to mark")
         self._marks += 1
-        name = clean(str(args.get("name") or f"mark{self._marks}"))[:_LONGEST]
-        data = mark_data(name, clean(str(args.get("comment") or ""))[:_LONGEST], solution)
+        name = _one_line(args.get("name") or f"mark{self._marks}")
+        data = mark_data(name, _one_line(args.get("comment") or ""), solution)
         self._solver.context.event(Level.INFO, "mark", f"mark {name}: {data['comment']}".rstrip(": "), **data)
         return done(f"mark {name}", **data)
 
@@ -211,6 +211,10 @@ class Words:
 def told(reply: Reply, text: str) -> Reply:
     """Return a reply with what RTKRCV's console shows."""
     return msgspec.structs.replace(reply, text=text)
+
+
+def _one_line(text: Any) -> str:
+    return clean(" ".join(str(text).split()))[:_LONGEST]
 
 
 def mark_data(name: str, comment: str, solution: Solution) -> dict[str, Any]:
