@@ -38,9 +38,9 @@ def world(tmp_path: Path) -> World:
     return world
 
 
-def ask(world: World, name: str, op: str, **args: Any) -> Reply:
+def ask(world: World, process: str, op: str, /, **args: Any) -> Reply:
     """Ask with typed arguments, as a program does; the answer as JSON, as a person reads it."""
-    [answer] = world.asker.get(CMD.key(name), payload=encode_json(Request(op=op, args=args)), encoding="application/json", timeout_s=1.0)
+    [answer] = world.asker.get(CMD.key(process), payload=encode_json(Request(op=op, args=args)), encoding="application/json", timeout_s=1.0)
     return decode_json(Reply, answer.payload)
 
 
@@ -154,7 +154,8 @@ def test_a_mask_is_changed_in_flight_without_losing_the_fix(world: World) -> Non
     after = world.solutions()[-6:]
     assert [s.status_name for s in (before, *after)] == ["FIX"] * 7
     assert {s.resets for s in after} == {0}
-    assert min(ask(world, "rtk", "satellite").data["signals"]["elevation_deg"]) >= 22.0
+    signals = ask(world, "rtk", "satellite").data["signals"]
+    assert min(e for e, state in zip(signals["elevation_deg"], signals["state"], strict=True) if state & 3) >= 22.0
     told = truth("demo", seed=3)
     for solution in after:
         true = told(GpsTime(solution.week, solution.tow_s)).antennas_ecef_m["rover"]

@@ -97,7 +97,7 @@ class Settings:
         return len(text.encode())
 
     def told(self, pattern: str) -> dict[str, dict[str, Any]]:
-        """Return the options whose names have ``pattern`` in them (``*`` and ``?`` as in file names): what the engine uses, and what waits."""
+        """Return the options whose names have ``pattern`` in them (``*`` and ``?`` as in files' names): what is used, and what waits."""
         now, then = options_of(self.active), options_of(self.pending)
         wanted = f"*{pattern}*" if pattern else "*"
         return {
