@@ -42,8 +42,8 @@ def options_of(rtk: RtkOptions, **around: object) -> SessionOptions:
 class Run:
     """A session that is fed a scenario's epochs; ``change`` is made between two of them."""
 
-    def __init__(self, streams: dict[Source, list[list[Message]]], rtk: RtkOptions) -> None:
-        self.session, self._streams, self._next = Session(options_of(rtk)), streams, 0
+    def __init__(self, streams: dict[Source, list[list[Message]]], rtk: RtkOptions, **around: object) -> None:
+        self.session, self._streams, self._next = Session(options_of(rtk, **around)), streams, 0
 
     def play(self, epochs: int = CHANGED_AFTER) -> list[Solution]:
         made: list[Solution] = []
@@ -147,15 +147,16 @@ def test_a_fixed_position_is_taken_where_the_filter_is_and_nowhere_else(streams:
 
 @pytest.mark.parametrize("modes", list(pairwise([Mode.MOVING_BASE, Mode.KINEMATIC, Mode.MOVING_BASE])), ids="->".join)
 def test_the_baseline_does_not_jump_when_the_base_is_another_kind(streams: dict, modes: tuple[Mode, Mode]) -> None:
-    """The base's own single point is metres off its known position: the baseline stays what it is."""
+    """The base's own single point is metres off its configured position: the baseline stays what it is."""
     first, second = modes
-    run = Run(streams["demo"], kinematic(mode=first))
+    told = truth("demo", seed=2)
+    configured = {"base_position_ecef_m": tuple(told(START).antennas_ecef_m["base"] + (2.0, -2.0, 1.0))}
+    run = Run(streams["demo"], kinematic(mode=first), **configured)
     before = run.play()[-1]
-    assert run.session.go_on(options_of(kinematic(mode=second))) == Continuation(kept=KEPT)
+    assert run.session.go_on(options_of(kinematic(mode=second), **configured)) == Continuation(kept=KEPT)
     after = run.play()
     assert [s.status for s in (before, *after)] == [Status.FIX] * (1 + len(after))
-    assert np.linalg.norm(after[0].base_ecef_m - before.base_ecef_m) > 0.3
-    told = truth("demo", seed=2)
+    assert np.linalg.norm(after[0].base_ecef_m - before.base_ecef_m) > 2.0
     for solution in after:
         places = told(solution.time).antennas_ecef_m
         assert np.linalg.norm(solution.baseline_ecef_m - (places["rover"] - places["base"])) < 0.05
@@ -214,5 +215,5 @@ def test_the_overview_tells_the_epoch_that_was_solved(streams: dict) -> None:
     assert overview.states > overview.states_of_motion == 9
     assert overview.code_used.sum() >= 4
     assert set(solution.satellites.satellite.tolist()) <= set(overview.satellite.tolist())
-    assert 0.0 < np.trace(overview.float_cov_m2) < 1.0
+    assert 0.0 < np.trace(overview.float_cov_m2) < 10.0
     assert 0.5 < overview.code_dilution.hdop < overview.code_dilution.pdop < overview.code_dilution.gdop < 5.0
