@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from rtkmesh_schemas.config_base import NotNegative, Positive, Systems, Table
 from rtkmesh_schemas.config_output import OutputTable
+from rtkmesh_schemas.config_rules import RuleTable
 
 Degrees90 = Annotated[float, Meta(ge=0.0, le=90.0)]
 EcefVector = tuple[
@@ -283,3 +284,4 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     recorder: dict[str, RecorderTable] = {}
     ros2: dict[str, Ros2Table] = {}
     monitor: dict[str, MonitorTable] = {}
+    rule: dict[str, RuleTable] = {}

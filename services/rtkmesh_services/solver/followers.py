@@ -33,7 +33,8 @@ class Followers:
 
     def _listened(self) -> bool:
         wanted = [SOL, SAT] if self.wants_satellites else [SOL]
-        return all([self._bus.matched(stream) for stream in wanted])  # every one is declared by it
+        listened = [self._bus.matched(stream) for stream in wanted]  # every one is declared by it
+        return all(listened)
 
     def _on_live(self, change: Liveliness) -> None:
         if change.alive:

@@ -92,7 +92,7 @@ def _rows(solution: Solution | None, overview: Overview, *, holds: bool) -> Iter
     columns = (overview.satellite, overview.azimuth_rad, overview.elevation_rad, overview.code_used, overview.code_residual_m)
     for number, azimuth_rad, elevation_rad, used, residual_m in zip(*(column.tolist() for column in columns), strict=True):
         row = rows[number] = _Row(satellite_id(number), degrees(azimuth_rad), degrees(elevation_rad), used)
-        row.slots[0] = _Slot(code_residual_m=_finite(residual_m))
+        row.slots[0] = _Slot(code_residual_m=finite(residual_m))
     if solution is not None:
         _add_signals(rows, solution, holds=holds)
     return [rows[number] for number in sorted(rows)]
@@ -120,7 +120,7 @@ def _add_signals(rows: dict[int, _Row], solution: Solution, *, holds: bool) -> N
         row = rows.setdefault(number, _Row(name, degrees(azimuth_rad), degrees(elevation_rad), bool(state & USED_CODE)))
         place = slot_of(name, signal_code(signal))
         if place is not None:
-            row.slots[place] = _Slot(bool(state & USED_PHASE), _fix(state, holds=holds), _finite(code_m), _finite(phase_m), *counts)
+            row.slots[place] = _Slot(bool(state & USED_PHASE), _fix(state, holds=holds), finite(code_m), finite(phase_m), *counts)
 
 
 def _fix(state: int, *, holds: bool) -> str:
@@ -129,7 +129,8 @@ def _fix(state: int, *, holds: bool) -> str:
     return ("HOLD" if holds else "FIX") if state & FIXED else "FLOAT"
 
 
-def _finite(value: float) -> float:
+def finite(value: float) -> float:
+    """Return a number, 0 where it is not known: RTKRCV's screens have no other way to say so."""
     return value if isfinite(value) else 0.0
 
 
@@ -158,7 +159,7 @@ def _observed(receiver: int, epoch: Epoch, count: int) -> Iterable[str]:
 
 def _values(epoch: Epoch, rows: list[int | None]) -> str:
     def of(column: Any) -> list[float]:
-        return [0.0 if k is None else _finite(float(column[k])) for k in rows]
+        return [0.0 if k is None else finite(float(column[k])) for k in rows]
 
     return "".join((
         *(f" {value:12.3f}" for value in of(epoch.pseudorange_m)), *(f" {value:13.3f}" for value in of(epoch.phase_cyc)),

@@ -9,6 +9,7 @@ from rtkmesh_schemas.command import Code
 from rtkmesh_schemas.solution import SolutionMessage, Vector
 from rtkmesh_services.errors import CommandError
 from rtkmesh_services.runtime.words import clip, nearest
+from rtkmesh_services.solver.screens.satellites import finite
 from rtkmesh_services.texts.times import calendar, in_system, instant, week_and_seconds
 
 COORDINATES: Final = ("dms", "deg", "xyz", "enu", "pyl")
@@ -73,8 +74,7 @@ def solution_line(solution: SolutionMessage, form: SolutionForm) -> str:
 
 
 def _age(solution: SolutionMessage) -> str:
-    age_s = solution.age_s if isfinite(solution.age_s) else 0.0
-    return f"A:{age_s:4.1f} R:{min(solution.ratio, 999.9):5.1f} N:{solution.satellites_used:2d}"
+    return f"A:{finite(solution.age_s):4.1f} R:{min(solution.ratio, 999.9):5.1f} N:{solution.satellites_used:2d}"
 
 
 def _time(solution: SolutionMessage, form: str) -> str:
@@ -86,7 +86,7 @@ def _time(solution: SolutionMessage, form: str) -> str:
 
 def _deviations(covariance: Sequence[float], order: Sequence[tuple[str, int]], unit: str = "") -> str:
     """Return sigmas as RTKRCV shows them; ``order`` has the letters and the rows of the covariance."""
-    roots = [(letter, sqrt(max(covariance[4 * row], 0.0)) if isfinite(covariance[4 * row]) else 0.0) for letter, row in order]
+    roots = [(letter, sqrt(max(finite(covariance[4 * row]), 0.0))) for letter, row in order]
     return f" ({' '.join(f'{letter}:{root:6.3f}' for letter, root in roots)}{unit})"
 
 

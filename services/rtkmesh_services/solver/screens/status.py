@@ -4,7 +4,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import sqrt
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +20,7 @@ from rtkmesh_schemas.config import SolverTable
 from rtkmesh_schemas.solution import Vector
 from rtkmesh_services.solver.inputs import InputStream
 from rtkmesh_services.solver.neighbours import Neighbours
-from rtkmesh_services.solver.screens.satellites import SLOTS
+from rtkmesh_services.solver.screens.satellites import SLOTS, finite
 from rtkmesh_services.texts.geodesy import enu_rotation, geodetic, turned
 from rtkmesh_services.texts.times import calendar, instant
 
@@ -139,19 +139,19 @@ def _epoch(view: StatusView) -> Iterator[tuple[str, str]]:
     yield "time of receiver clock rover", "-" if solution is None else _receiver_time(solution)
     yield "time sys offset (ns)", ",".join(f"{1e9 * offset:.3f}" for offset in _system_offsets(solution))
     yield "solution interval (s)", f"{view.interval_s:.3f}"
-    yield "age of differential (s)", f"{0.0 if solution is None else _finite(solution.age_s):.3f}"
-    yield "ratio for ar validation", f"{0.0 if solution is None else _finite(solution.ratio):.3f}"
+    yield "age of differential (s)", f"{0.0 if solution is None else finite(solution.age_s):.3f}"
+    yield "ratio for ar validation", f"{0.0 if solution is None else finite(solution.ratio):.3f}"
     yield "# of satellites rover", str(0 if solution is None else solution.satellites_rover)
     yield "# of satellites base", str(0 if solution is None else solution.satellites_base)
     yield "# of valid satellites", str(0 if solution is None else solution.satellites_used)
-    yield "GDOP/PDOP/HDOP/VDOP", ",".join(f"{_finite(value):.1f}" for value in dops)
+    yield "GDOP/PDOP/HDOP/VDOP", ",".join(f"{finite(value):.1f}" for value in dops)
     yield "# of real estimated states", str(view.overview.states_of_motion)
     yield "# of all estimated states", str(view.overview.states)
 
 
 def _receiver_time(solution: Solution) -> str:
     """Return the true time of reception: the epoch's tag without the receiver's clock."""
-    time = solution.time + -_finite(solution.receiver_clock_s)
+    time = solution.time + -finite(solution.receiver_clock_s)
     return calendar(instant(time.week, time.tow_s), 9)
 
 
@@ -159,7 +159,7 @@ def _system_offsets(solution: Solution | None) -> Iterator[float]:
     """Yield the times of the other systems against GPS (s), 0 where one of the two is not known."""
     clocks = np.full(len(SYSTEMS), np.nan) if solution is None else solution.clocks_s
     for system in _SHOWN_SYSTEMS:
-        yield _finite(float(clocks[SYSTEMS.index(system)] - clocks[SYSTEMS.index("G")]))
+        yield finite(float(clocks[SYSTEMS.index(system)] - clocks[SYSTEMS.index("G")]))
 
 
 def _positions(view: StatusView) -> Iterator[tuple[str, str]]:
@@ -189,12 +189,12 @@ def _positions(view: StatusView) -> Iterator[tuple[str, str]]:
 
 
 def _vector(values: NDArray[np.float64]) -> Vector:
-    x, y, z = (_finite(value) for value in values.tolist())
+    x, y, z = (finite(value) for value in values.tolist())
     return x, y, z
 
 
 def _sigmas(covariance: NDArray[np.float64]) -> Vector:
-    x, y, z = (sqrt(max(_finite(value), 0.0)) for value in np.diag(covariance).tolist())
+    x, y, z = (sqrt(max(finite(value), 0.0)) for value in np.diag(covariance).tolist())
     return x, y, z
 
 
@@ -220,7 +220,3 @@ def _length(rover: Vector, base: Vector) -> float:
     if _NOWHERE in (rover, base):
         return 0.0
     return sqrt(sum((one - other) ** 2 for one, other in zip(rover, base, strict=True)))
-
-
-def _finite(value: float) -> float:
-    return value if isfinite(value) else 0.0
