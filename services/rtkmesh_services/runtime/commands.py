@@ -17,8 +17,10 @@ from rtkmesh_schemas.status import ServiceStatus
 from rtkmesh_schemas.wire import JSON, MAXIMUM_COMMAND_BYTES, Wire, encode, encode_json, encoding_of
 from rtkmesh_services.errors import CommandError, ServiceError
 from rtkmesh_services.runtime.bus import Query
+from rtkmesh_services.runtime.faults import KEPT, SHOWN
 from rtkmesh_services.runtime.logs import masked
 from rtkmesh_services.runtime.service import Service, accepted, done, refused
+from rtkmesh_services.runtime.solver_words import solver_of
 
 BASE_OPERATIONS: Final[Mapping[str, str]] = {
     "status": "the state with inputs, counters and latencies",
@@ -26,6 +28,7 @@ BASE_OPERATIONS: Final[Mapping[str, str]] = {
     "config": "this process's table of the deployment file, secrets masked",
     "metrics": "counters and latencies as flat numbers",
     "log": "level=debug|info|warning|error: set how much is logged; without level: tell",
+    "error": "count=N: the newest warnings and errors of this process",
     "shutdown": "end the process (control starts it again unless it was told to stop it)",
 }
 _REMEMBERED: Final = 256
@@ -45,6 +48,7 @@ class CommandDesk:
             "config": self._tell_config,
             "metrics": self._tell_metrics,
             "log": self._set_log,
+            "error": self._tell_errors,
             "shutdown": self._shut_down,
         }
         self.opened = False
@@ -97,6 +101,8 @@ class CommandDesk:
         except Exception as error:
             self._context.log.exception("command %s failed", request.op)
             return refused(Code.FAILED, f"internal error: {type(error).__name__}: {error}")
+        if place := solver_of(request.op, self._context):
+            return refused(Code.UNKNOWN_OP, place)
         known = sorted({*self._base, *self._service.operations})
         near = difflib.get_close_matches(request.op[:64], known, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
@@ -111,10 +117,14 @@ class CommandDesk:
 
     def _tell_status(self, request: Request) -> Reply:  # noqa: ARG002  the operations share one form
         status = self._status()
-        return done(status.reason or status.state.value, **msgspec.to_builtins(status))
+        screen, details = self._service.status_screen(status) if self.opened else ("", {})
+        reply = done(status.reason or status.state.value, **msgspec.to_builtins(status), **details)
+        return msgspec.structs.replace(reply, text=screen)
 
     def _tell_help(self, request: Request) -> Reply:  # noqa: ARG002
-        return done("operations", operations={**BASE_OPERATIONS, **self._service.operations})
+        operations = {**BASE_OPERATIONS, **self._service.operations}
+        reply = done("operations", operations=operations)
+        return msgspec.structs.replace(reply, text="".join(f"{name:<22s}: {meaning}\n" for name, meaning in operations.items()))
 
     def _tell_config(self, request: Request) -> Reply:  # noqa: ARG002
         table = masked(msgspec.to_builtins(self._service.table()))
@@ -122,6 +132,14 @@ class CommandDesk:
 
     def _tell_metrics(self, request: Request) -> Reply:  # noqa: ARG002
         return done("metrics", values=metric_values(self._status()))
+
+    def _tell_errors(self, request: Request) -> Reply:
+        faults, count = self._context.faults, request.args.get("count", SHOWN)
+        if isinstance(count, bool) or not str(count).isdecimal() or not 0 < int(str(count)[:6]) <= KEPT:
+            raise CommandError(Code.BAD_ARGUMENTS, f"count is a whole number from 1 to {KEPT}, not {str(count)[:64]!r}")
+        newest = faults.newest(int(str(count)))
+        reply = done(f"{faults.total} errors and warnings", total=faults.total, errors=[msgspec.to_builtins(fault) for fault in newest])
+        return msgspec.structs.replace(reply, text="".join(f"{fault.line}\n" for fault in newest))
 
     def _set_log(self, request: Request) -> Reply:
         root = logging.getLogger()
