@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from rtkmesh_schemas.config_presets import BasesTable, PresetNames, PresetTable
+
 Positive = Annotated[float, Meta(gt=0.0, lt=1e9)]
 NotNegative = Annotated[float, Meta(ge=0.0, lt=1e9)]
 Degrees90 = Annotated[float, Meta(ge=0.0, le=90.0)]
@@ -192,10 +194,12 @@ class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     ``rover_antenna`` and ``base_antenna`` are IGS names (``LEIAR25.R3 LEIT``) instead of what the streams say; ``antex`` is a file with
     calibrations that go before the shipped ones, relative to the folder of configurations.
+    ``presets`` are base stations to choose from, the best first: control takes the next one when one is silent or bad.
     """
 
     rover: str
     base: str = ""
+    presets: PresetNames = ()
     navigation: tuple[str, ...] = ()
     mode: ModeName = "kinematic"
     systems: Systems = "GREJC"
@@ -319,3 +323,5 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     recorder: dict[str, RecorderTable] = {}
     ros2: dict[str, Ros2Table] = {}
     monitor: dict[str, MonitorTable] = {}
+    bases: BasesTable = BasesTable()
+    preset: dict[str, PresetTable] = {}
