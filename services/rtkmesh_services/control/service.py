@@ -10,6 +10,11 @@ from rtkmesh_schemas.errors import ConfigError, SchemaError
 from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
+from rtkmesh_services.control.base_keys import PresetQuestion, answer, declare_with
+from rtkmesh_services.control.base_words import HELP as PRESET_HELP
+from rtkmesh_services.control.base_words import PresetDesk
+from rtkmesh_services.control.bases import LANE as BASES_LANE
+from rtkmesh_services.control.bases import Bases
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
@@ -32,6 +37,7 @@ class ControlService(Service):
         "stop": "stop a process and leave it stopped: id=ID, or id=all (all but the hub)",
         "restart": "stop a process and start it: id=ID, or id=all (all but the hub)",
         "reload": "read the deployment file again and apply what has changed",
+        "preset": PRESET_HELP,
         "output": "the newest lines that a process wrote: id=ID [lines=50]",
     }
 
@@ -40,15 +46,20 @@ class ControlService(Service):
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
         self._last: dict[str, tuple[str, int]] = {}
+        self._bases = Bases(context, keeper, options)
+        self._presets = PresetDesk(self._bases.book, self._bases)
 
     def open(self) -> None:
         """Listen to the heartbeats of all."""
         self._keeper.on_change(self._changed)
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
+        self._bases.open(declare_with(self.context, BASES_LANE))
 
     def handle(self, item: Any) -> None:
-        """Take a status: the heartbeat of a work loop."""
-        if not isinstance(item, Sample):
+        """Take a status, the heartbeat of a work loop, or what concerns base stations."""
+        if isinstance(item, PresetQuestion):
+            answer(self._presets, item, self.context)
+        if self._bases.took(item) or not isinstance(item, Sample):
             return
         try:
             status = decode(ServiceStatus, item.payload, item.encoding)
@@ -56,11 +67,18 @@ class ControlService(Service):
             self.context.log.debug("a status that is none on %s: %s", item.key, error)
             return
         self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
+        self._bases.heard(status, item.received_mono_ns * 1e-9)
+
+    def tick(self, now_mono_ns: int) -> None:
+        """Bring the base stations to what is wanted."""
+        self._bases.tick(now_mono_ns * 1e-9)
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
         if request.op == "reload":
             return self._reload()
+        if request.op == "preset":
+            return self._presets.command(request)
         id_ = str(request.args.get("id", request.args.get("name", "")))
         known = [row["id"] for row in self._keeper.rows()]
         if not id_:
@@ -91,7 +109,11 @@ class ControlService(Service):
             "listener_errors": self._keeper.listener_errors,
         }
         state = State.DEGRADED if failed else State.RUNNING
-        return Report(state=state, reason="; ".join(failed), counters=counters, data={"processes": rows})
+        return Report(state=state, reason="; ".join(failed), counters=counters, data={"processes": rows, **self._bases.data()})
+
+    def close(self) -> None:
+        """Ask no solver any more."""
+        self._bases.close()
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -113,6 +135,7 @@ class ControlService(Service):
             return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
         self._deployment = deployment
         changes = self._keeper.apply(specs_of(deployment, self._options))
+        self._bases.reload(deployment)
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
         return accepted(text or "nothing has changed", **changes)
 
