@@ -154,8 +154,11 @@ class Bases:
             self._choices[solver].prefer(wanted, self._now_s())
 
     def _wanted(self) -> dict[str, Preset]:
-        """Return the presets that have to run, by the ids of their processes: wanted ones, used ones, those on standby."""
-        names = [name for choice in self._choices.values() for name in (*choice.wanted, choice.active or "")]
+        """Return the presets that have to run, by the ids of their processes: selected, wanted and used ones, those on standby.
+
+        What is selected for all runs without any solver too: others may take its frames.
+        """
+        names = [self.book.selected() or "", *(name for choice in self._choices.values() for name in (*choice.wanted, choice.active or ""))]
         names += [name for name in self.book.ids() if self._on_standby(name)]
         names += [self._running[used] for solver in self._choices if (used := self._used(solver)) in self._running]
         return {ingest_id(name): preset for name in dict.fromkeys(names) if (preset := self.book.get(name)) is not None}
