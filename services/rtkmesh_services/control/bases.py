@@ -56,6 +56,7 @@ class Bases:
         self._choices: dict[str, Choice] = {}
         self._heard: dict[str, Heard] = {}
         self._running: dict[str, str] = {}  # ingest id: preset
+        self._started: dict[str, Preset] = {}  # as the processes know them
         self._scores: dict[str, Score] = {}
         self._keys: dict[str, Handle] = {}
         self._orders = orders or BaseOrders(context, LANE)
@@ -75,6 +76,7 @@ class Bases:
     def reload(self, deployment: Deployment) -> None:
         """Take a file that was read again."""
         self._deployment = deployment
+        self._started.clear()
         self.book.replace_builtin(deployment.preset)
         self._choices.clear()
         self._choose_all()
@@ -179,10 +181,12 @@ class Bases:
         for process in [process for process in self._running if process not in wanted]:
             self._keeper.dismiss(process)
             self._heard.pop(process, None)
+            self._started.pop(process, None)
             self._scores.pop(self._running.pop(process), None)
         for process, preset in wanted.items():
-            self._running[process] = preset.id
-            self._keeper.adopt(base_spec(preset, self._deployment, self._options))
+            if self._started.get(process) != preset:
+                self._running[process], self._started[process] = preset.id, preset
+                self._keeper.adopt(base_spec(preset, self._deployment, self._options))
 
     def _direct(self, solver: str, now_s: float) -> None:
         """Ask a solver to use its base, where it uses another one."""

@@ -10,6 +10,7 @@ from rtkmesh_schemas.errors import ConfigError, SchemaError
 from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
+from rtkmesh_services.control.automation import Automation, RuleSample
 from rtkmesh_services.control.base_keys import PresetQuestion, answer, declare_with
 from rtkmesh_services.control.base_words import HELP as PRESET_HELP
 from rtkmesh_services.control.base_words import PresetDesk
@@ -19,8 +20,9 @@ from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, spe
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.supervisor import ProcessState
-from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_deployment
+from rtkmesh_services.runtime.rule_words import parse_rule
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
 
 ALL: Final = frozenset({"all", "*"})
@@ -45,18 +47,21 @@ class ControlService(Service):
         super().__init__(context)
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
-        self._last: dict[str, tuple[str, int]] = {}
+        self._automation = Automation(context)
         self._bases = Bases(context, keeper, options)
         self._presets = PresetDesk(self._bases.book, self._bases)
 
     def open(self) -> None:
-        """Listen to the heartbeats of all."""
+        """Listen to the heartbeats of all, and to what rules watch."""
         self._keeper.on_change(self._changed)
+        self._apply_rules()
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
         self._bases.open(declare_with(self.context, BASES_LANE))
 
     def handle(self, item: Any) -> None:
-        """Take a status, the heartbeat of a work loop, or what concerns base stations."""
+        """Take a status: the heartbeat of a work loop; or a message that a rule watches, or what concerns base stations."""
+        if isinstance(item, RuleSample | Liveliness):
+            self._automation.take(item, self._now_s())
         if isinstance(item, PresetQuestion):
             answer(self._presets, item, self.context)
         if self._bases.took(item) or not isinstance(item, Sample):
@@ -70,8 +75,14 @@ class ControlService(Service):
         self._bases.heard(status, item.received_mono_ns * 1e-9)
 
     def tick(self, now_mono_ns: int) -> None:
-        """Bring the base stations to what is wanted."""
+        """Let time act on the rules; bring the base stations to what is wanted."""
+        self._automation.tick(now_mono_ns * 1e-9)
         self._bases.tick(now_mono_ns * 1e-9)
+
+    def close(self) -> None:
+        """Let the rules go, ask no solver any more."""
+        self._automation.close()
+        self._bases.close()
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
@@ -109,11 +120,8 @@ class ControlService(Service):
             "listener_errors": self._keeper.listener_errors,
         }
         state = State.DEGRADED if failed else State.RUNNING
-        return Report(state=state, reason="; ".join(failed), counters=counters, data={"processes": rows, **self._bases.data()})
-
-    def close(self) -> None:
-        """Ask no solver any more."""
-        self._bases.close()
+        data = {"processes": rows, "rules": self._automation.report(), **self._bases.data()}
+        return Report(state=state, reason="; ".join(failed), counters=counters, data=data)
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -134,10 +142,18 @@ class ControlService(Service):
         ):
             return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
         self._deployment = deployment
+        self._apply_rules()
         changes = self._keeper.apply(specs_of(deployment, self._options))
         self._bases.reload(deployment)
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
         return accepted(text or "nothing has changed", **changes)
+
+    def _apply_rules(self) -> None:
+        rules = [parse_rule(name, table) for name, table in self._deployment.rule.items()]
+        self._automation.apply(rules, self._now_s())
+
+    def _now_s(self) -> float:
+        return self.context.clock.mono_ns() * 1e-9
 
     def _changed(self, row: dict[str, Any]) -> None:
         """Tell the network of a change (called in the keeper's thread)."""
