@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from rtkmesh_schemas.config_base import NotNegative, Positive, Systems, Table
 from rtkmesh_schemas.config_output import OutputTable
+from rtkmesh_schemas.config_presets import BasesTable, FilterTable, PresetNames, PresetTable
 from rtkmesh_schemas.config_rules import RuleTable
 
 Degrees90 = Annotated[float, Meta(ge=0.0, le=90.0)]
@@ -107,7 +108,7 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     ``position_ecef_m`` or ``position_llh_deg`` (lat, lon, ellipsoidal height) is the antenna's known position and replaces what the
     stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``options`` are RTKLIB's receiver options (``"-TADJ=0.1 -GL2L"``).
-    ``navigation`` marks a source of ephemerides only.
+    ``navigation`` marks a source of ephemerides only. ``filter`` says which frames are used.
     """
 
     source: str
@@ -121,6 +122,7 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     options: str = ""
     navigation: bool = False
     raw: bool = True
+    filter: FilterTable = FilterTable()
     commands: CommandsTable = CommandsTable()
     corrections: CorrectionsTable | None = None
     base_station: BaseStationTable | None = None
@@ -189,10 +191,12 @@ class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     ``rover_antenna`` and ``base_antenna`` are IGS names (``LEIAR25.R3 LEIT``) instead of what the streams say; ``antex`` is a file with
     calibrations that go before the shipped ones, relative to the folder of configurations.
+    ``presets`` are base stations to choose from, the best first: control takes the next one when one is silent or bad.
     """
 
     rover: str
     base: str = ""
+    presets: PresetNames = ()
     navigation: tuple[str, ...] = ()
     mode: ModeName = "kinematic"
     systems: Systems = "GREJC"
@@ -284,4 +288,6 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     recorder: dict[str, RecorderTable] = {}
     ros2: dict[str, Ros2Table] = {}
     monitor: dict[str, MonitorTable] = {}
+    bases: BasesTable = BasesTable()
+    preset: dict[str, PresetTable] = {}
     rule: dict[str, RuleTable] = {}

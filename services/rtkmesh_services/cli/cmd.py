@@ -28,6 +28,8 @@ _POSITIONAL = {
     "stop": ("id",),
     "restart": ("id",),
     "output": ("id", "lines"),
+    "preset": ("action", "id"),
+    "base": ("id",),
 }
 
 _EXAMPLES = """

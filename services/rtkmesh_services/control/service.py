@@ -11,6 +11,11 @@ from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.control.automation import Automation, RuleSample
+from rtkmesh_services.control.base_keys import PresetQuestion, answer, declare_with
+from rtkmesh_services.control.base_words import HELP as PRESET_HELP
+from rtkmesh_services.control.base_words import PresetDesk
+from rtkmesh_services.control.bases import LANE as BASES_LANE
+from rtkmesh_services.control.bases import Bases
 from rtkmesh_services.control.examination import examine
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
 from rtkmesh_services.control.forking import FORKED, ForkServer
@@ -35,6 +40,7 @@ class ControlService(Service):
         "stop": "stop a process and leave it stopped: id=ID, or id=all (all but the hub)",
         "restart": "stop a process and start it: id=ID, or id=all (all but the hub)",
         "reload": "read the deployment file again and apply what has changed",
+        "preset": PRESET_HELP,
         "output": "the newest lines that a process wrote: id=ID [lines=50]",
     }
 
@@ -43,18 +49,23 @@ class ControlService(Service):
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
         self._automation = Automation(context)
+        self._bases = Bases(context, keeper, options)
+        self._presets = PresetDesk(self._bases.book, self._bases)
 
     def open(self) -> None:
         """Listen to the heartbeats of all, and to what rules watch."""
         self._keeper.on_change(self._changed)
         self._apply_rules()
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
+        self._bases.open(declare_with(self.context, BASES_LANE))
 
     def handle(self, item: Any) -> None:
-        """Take a status: the heartbeat of a work loop; or a message that a rule watches."""
+        """Take a status: the heartbeat of a work loop; or a message that a rule watches, or what concerns base stations."""
         if isinstance(item, RuleSample | Liveliness):
             self._automation.take(item, self._now_s())
-        if not isinstance(item, Sample):
+        if isinstance(item, PresetQuestion):
+            answer(self._presets, item, self.context)
+        if self._bases.took(item) or not isinstance(item, Sample):
             return
         try:
             status = decode(ServiceStatus, item.payload, item.encoding)
@@ -62,19 +73,24 @@ class ControlService(Service):
             self.context.log.debug("a status that is none on %s: %s", item.key, error)
             return
         self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
+        self._bases.heard(status, item.received_mono_ns * 1e-9)
 
     def tick(self, now_mono_ns: int) -> None:
-        """Let time act on the rules."""
+        """Let time act on the rules; bring the base stations to what is wanted."""
         self._automation.tick(now_mono_ns * 1e-9)
+        self._bases.tick(now_mono_ns * 1e-9)
 
     def close(self) -> None:
-        """Let the rules go."""
+        """Let the rules go, ask no solver any more."""
         self._automation.close()
+        self._bases.close()
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
         if request.op == "reload":
             return self._reload()
+        if request.op == "preset":
+            return self._presets.command(request)
         id_ = str(request.args.get("id", request.args.get("name", "")))
         known = [row["id"] for row in self._keeper.rows()]
         if not id_:
@@ -105,9 +121,8 @@ class ControlService(Service):
             "listener_errors": self._keeper.listener_errors,
         }
         state = State.DEGRADED if failed else State.RUNNING
-        return Report(
-            state=state, reason="; ".join(failed), counters=counters, data={"processes": rows, "rules": self._automation.report()}
-        )
+        data = {"processes": rows, "rules": self._automation.report(), **self._bases.data()}
+        return Report(state=state, reason="; ".join(failed), counters=counters, data=data)
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -132,6 +147,7 @@ class ControlService(Service):
         self._deployment = deployment
         self._apply_rules()
         changes = self._keeper.apply(specs_of(deployment, self._options))
+        self._bases.reload(deployment)
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
         return accepted(text or "nothing has changed", **changes)
 

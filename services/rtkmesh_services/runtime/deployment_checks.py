@@ -2,33 +2,23 @@
 
 import re
 from collections.abc import Mapping
-from typing import Final, Protocol
+from typing import Final
 
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.config import Deployment, IngestTable, SolverTable
 from rtkmesh_schemas.errors import BadKeyError
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
+from rtkmesh_services.runtime.file_faults import Faults
 from rtkmesh_services.runtime.output_checks import check_output_table, check_ports
+from rtkmesh_services.runtime.preset_checks import check_presets
 from rtkmesh_services.runtime.rule_words import RuleError, parse_rule
 from rtkmesh_services.runtime.words import clip, nearest
 
 MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
-NAMED: Final = (*MULTIPLE, "rule")  # all that are written [TABLE.NAME]
+NAMED: Final = (*MULTIPLE, "preset", "rule")  # all that are written [TABLE.NAME]
 _SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
 _LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
-
-
-class Faults(Protocol):
-    """What gathers the faults of one file."""
-
-    def fault(self, path: tuple[str, ...], message: str) -> None:
-        """Gather one fault at a key (or at the nearest table above it)."""
-        ...
-
-    def names_of(self, role: str) -> list[str]:
-        """Return the ids of a role, also of tables that have faults of their own."""
-        ...
 
 
 def check_deployment(reader: Faults, deployment: Deployment) -> None:
@@ -43,7 +33,7 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
         _check_reference(reader, "ingest", solver.rover, ("solver", id, "rover"))
         if solver.base:
             _check_reference(reader, "ingest", solver.base, ("solver", id, "base"))
-        elif solver.mode != "single":
+        elif solver.mode != "single" and not solver.presets and not deployment.preset:
             reader.fault(("solver", id), f"[solver.{id}] has no 'base', which mode {solver.mode!r} needs")
         for index, navigation in enumerate(solver.navigation):
             _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
@@ -53,6 +43,7 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
     for id in deployment.output:  # noqa: A001
         _check_output(reader, id, deployment)
     _check_lists(reader, deployment)
+    check_presets(reader, deployment)
     _check_rules(reader, deployment)
     for index, address in enumerate(deployment.hub.listen):
         if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):

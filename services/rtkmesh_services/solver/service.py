@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from typing import Any, ClassVar
 
 from rtkmesh.errors import OptionError
-from rtkmesh.gnss.ephemeris import ReferenceStation
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.continuation import Continuation
@@ -26,10 +25,12 @@ from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.faults import Fault, time_of
 from rtkmesh_services.runtime.service import Context, Report, Service
 from rtkmesh_services.runtime.statistics import RollingQuantiles
+from rtkmesh_services.solver.bases import OPERATIONS as BASE_OPERATIONS
+from rtkmesh_services.solver.bases import BaseChanger, Subscriptions, Wiring, ingest_of
 from rtkmesh_services.solver.broadcast import Broadcast
 from rtkmesh_services.solver.followers import Followers
 from rtkmesh_services.solver.formats import TextPublisher
-from rtkmesh_services.solver.inputs import CREDIT_EVERY, STREAMS, InputStream
+from rtkmesh_services.solver.inputs import CREDIT_EVERY, InputStream
 from rtkmesh_services.solver.neighbours import Neighbours
 from rtkmesh_services.solver.recent import Recent
 from rtkmesh_services.solver.screens.status import StatusView, status_data, status_screen
@@ -50,7 +51,7 @@ class SolverService(Service):
     """One solver instance around the pure session."""
 
     role: ClassVar[Role] = Role.SOLVER
-    operations: ClassVar[Mapping[str, str]] = OPERATIONS
+    operations: ClassVar[Mapping[str, str]] = {**OPERATIONS, **BASE_OPERATIONS}
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -72,7 +73,18 @@ class SolverService(Service):
         self._opened_s = 0.0
         self._followers = Followers(context)
         self._texts = TextPublisher()
-        self._base_station_id = 0
+        self._subscriptions = Subscriptions(context)
+        self._bases = BaseChanger(
+            Wiring(
+                context,
+                self.session,
+                self._inputs,
+                self._subscriptions,
+                lambda: self.settings.active,
+                self.settings.take_base,
+                self._session_options,
+            )
+        )
 
     def warm(self) -> None:
         """Compile or load the engine's kernels."""
@@ -86,22 +98,20 @@ class SolverService(Service):
         self.neighbours.watch(self.context)
         self.context.bus.on_live(self._on_live)
         for name in self._inputs:
-            for stream in STREAMS:
-                fields = {"satellite": "*"} if "{satellite}" in stream.template else {}
-                self.context.subscribe(stream.key(name, **fields), lane=f"in:{name}", history=stream.cache > 0)
+            self._subscriptions.open(name)
 
     def handle(self, item: Any) -> None:
         """Take one sample of a stream and solve what can be solved."""
         if isinstance(item, Liveliness):
-            self._inputs[item.id].owner_left()
+            self._owner_left(item.id)
         if not isinstance(item, Sample):
             return
-        stream = self._inputs.get(item.key.split("/")[1])
-        if self.neighbours.take(item) or stream is None:
-            return
-        now_s = self._now_s()
-        for arrival in stream.take(item, now_s):
-            self._feed(arrival.source, arrival.message, arrival.received_mono_ns, now_s)
+        name, now_s = item.key.split("/")[1], self._now_s()
+        if self.neighbours.take(item) or self._bases.takes(name, item, now_s):
+            pass
+        elif (stream := self._inputs.get(name)) is not None:
+            for arrival in stream.take(item, now_s):
+                self._feed(arrival.source, arrival.message, arrival.received_mono_ns, now_s)
         self._advance()
 
     def tick(self, now_mono_ns: int) -> None:
@@ -121,7 +131,10 @@ class SolverService(Service):
         return self.session.deadline_s() * 1e9
 
     def command(self, request: Request) -> Reply:
-        """Answer one of RTKRCV's words."""
+        """Answer one of RTKRCV's words, or change the base."""
+        if request.op in BASE_OPERATIONS:
+            with self._refusals():
+                return self._bases.command(request, self._now_s())
         return self._words.answer(request)
 
     def table(self) -> SolverTable:
@@ -142,7 +155,7 @@ class SolverService(Service):
         return Report(
             state=state,
             reason=reason,
-            inputs=[stream.status(now_s) for stream in self._inputs.values()],
+            inputs=[stream.status(now_s) for stream in self._inputs.values()] + self._bases.statuses(now_s),
             counters={
                 **{f"solutions_{name.lower()}": count for name, count in self._statuses.items()},
                 **{f"integrity_{name}": count for name, count in self._integrities.items()},
@@ -156,6 +169,7 @@ class SolverService(Service):
                 "rover": table.rover,
                 "base": table.base,
                 "options_waiting": sum("pending" in option for option in self.settings.told("").values()),
+                **self._bases.data(now_s),
                 "end": self._ended(),
                 **({} if newest is None else _newest_words(newest)),
                 "antennas": {**self.session.antennas, "corrected": self.session.corrects_antennas},
@@ -163,8 +177,13 @@ class SolverService(Service):
         )
 
     def _on_live(self, change: Liveliness) -> None:
-        if not change.alive and change.id in self._inputs:
+        if not change.alive:
             self.context.inbox.put(change, lane=f"in:{change.id}")
+
+    def _owner_left(self, name: str) -> None:
+        self._bases.owner_left(name)
+        if (stream := self._inputs.get(name)) is not None:
+            stream.owner_left()
 
     def _sources(self) -> list[tuple[Source, str]]:
         table = self.settings.active
@@ -172,7 +191,7 @@ class SolverService(Service):
         return [(source, name) for source, name in named if name] + [(Source.NAVIGATION, name) for name in navigation_only(table)]
 
     def _ingest(self, name: str) -> IngestTable:
-        return self.context.deployment.ingest[name]
+        return ingest_of(self.context, name)
 
     def _session_options(self, table: SolverTable) -> SessionOptions:
         """Return the engine's options of a table with this solver's streams."""
@@ -197,11 +216,10 @@ class SolverService(Service):
                 self._received[message.time] = received_mono_ns
                 if len(self._received) > RECEIVE_TIMES:
                     del self._received[next(iter(self._received))]
-        elif source is Source.BASE and isinstance(message, ReferenceStation):
-            self._base_station_id = message.station_id
         self.session.feed(source, message, now_s)
 
     def _advance(self) -> None:
+        self._bases.advance(self._now_s())
         while self.running and (pair := self.session.next_pair(self._now_s())) is not None:
             self._solve(pair)
         self._credit()
@@ -210,6 +228,7 @@ class SolverService(Service):
         begun = self.context.clock.mono_ns()
         solution = self.session.solve(pair)
         solved = self.context.clock.mono_ns()
+        self._bases.solved(solution)
         self._statuses[solution.status.name] += 1
         self._integrities[solution.integrity.value] += 1
         self._solve_ms.add(solved, (solved - begun) * 1e-6)
@@ -229,7 +248,7 @@ class SolverService(Service):
             mode=self.settings.active.mode,
             rover=self.settings.active.rover,
             base=self.settings.active.base,
-            base_station_id=self._base_station_id,
+            base_station_id=0 if self.session.station is None else self.session.station.station_id,
             solve_ms=solve_ms,
             received_mono_ns=received,
             published_mono_ns=now_ns,
@@ -356,6 +375,7 @@ def _newest_words(solution: Solution) -> dict[str, Any]:
     """Return what a status tells of the newest solution."""
     return {
         "solution": solution.status.name,
+        **({"position_ecef_m": [round(x, 1) for x in solution.position_ecef_m.tolist()]} if solution.status is not Status.NONE else {}),
         "fix_probability": solution.fix_probability,
         "integrity": solution.integrity.value,
         "integrity_reason": solution.integrity_reason.name.lower(),

@@ -64,6 +64,13 @@ class Settings:
         """A fresh filter has taken what was pending."""
         self.active = self.pending
 
+    def take_base(self, table: SolverTable) -> None:
+        """The base of this table is used now, whatever else waits for a restart."""
+        rewired = {"base": table.base, "base_antenna": table.base_antenna}
+        self.active, self.pending, self.configured = (
+            msgspec.structs.replace(one, **rewired) for one in (self.active, self.pending, self.configured)
+        )
+
     def set(self, name: str, value: Any, dialect: Any = "demo5") -> Outcome:
         """Change one option, named as in our files or as in RTKLIB's; CommandError says what is wrong."""
         if is_option(name, self.pending) or name in WIRING or name not in SOLVER_ROWS:
