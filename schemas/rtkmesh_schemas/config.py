@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from rtkmesh_schemas.config_flockwave import FlockwaveTable
 from rtkmesh_schemas.config_presets import BasesTable, PresetNames, PresetTable
 
 Positive = Annotated[float, Meta(gt=0.0, lt=1e9)]
@@ -316,6 +317,7 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     deployment: DeploymentTable = DeploymentTable()
     hub: HubTable = HubTable()
     control: ControlTable = ControlTable()
+    flockwave: FlockwaveTable = FlockwaveTable()
     ingest: dict[str, IngestTable] = {}
     solver: dict[str, SolverTable] = {}
     attitude: dict[str, AttitudeTable] = {}

@@ -11,15 +11,20 @@ from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
+from rtkmesh_services.control.flockwave.service import Flockwave
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
+from rtkmesh_services.control.presets import PresetBook
 from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_deployment
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
+from rtkmesh_services.runtime.state_files import state_folder
 
 ALL: Final = frozenset({"all", "*"})
 _DEFAULT_LINES: Final = 50
+_LASTING: Final = ("deployment", "hub", "control", "flockwave")
+_LASTING_TEXT: Final = "[deployment], [hub], [control] and [flockwave]"
 _LEVELS: Final = {ProcessState.FAILED: Level.ERROR, ProcessState.WAITING: Level.WARNING}
 
 
@@ -40,15 +45,18 @@ class ControlService(Service):
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
         self._last: dict[str, tuple[str, int]] = {}
+        self._presets = PresetBook(context.deployment.preset, state_folder())
+        self._flockwave = Flockwave(context, self._presets, self.ingest_of)
 
     def open(self) -> None:
         """Listen to the heartbeats of all."""
         self._keeper.on_change(self._changed)
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
+        self._flockwave.open()
 
     def handle(self, item: Any) -> None:
         """Take a status: the heartbeat of a work loop."""
-        if not isinstance(item, Sample):
+        if self._flockwave.handle(item) or not isinstance(item, Sample):
             return
         try:
             status = decode(ServiceStatus, item.payload, item.encoding)
@@ -56,6 +64,21 @@ class ControlService(Service):
             self.context.log.debug("a status that is none on %s: %s", item.key, error)
             return
         self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
+        self._flockwave.status(status, item.received_mono_ns)
+
+    def tick(self, now_mono_ns: int) -> None:
+        """Follow the selected base."""
+        self._flockwave.tick(now_mono_ns)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._flockwave.close()
+
+    def ingest_of(self, preset: str) -> str:
+        """Return which process receives a preset, empty: none."""
+        found = self._presets.get(preset)
+        source = "" if found is None else found.sources[0]
+        return source.removeprefix("ingest://").partition("?")[0] if source.startswith("ingest://") else ""
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
@@ -89,6 +112,7 @@ class ControlService(Service):
             "failed": len(failed),
             "restarts": sum(row["restarts"] for row in rows),
             "listener_errors": self._keeper.listener_errors,
+            **self._flockwave.counters(),
         }
         state = State.DEGRADED if failed else State.RUNNING
         return Report(state=state, reason="; ".join(failed), counters=counters, data={"processes": rows})
@@ -105,12 +129,8 @@ class ControlService(Service):
             deployment = load_deployment(self._options.file, self._options.data_folder, self._options.speed)
         except ConfigError as error:
             return refused(Code.BAD_ARGUMENTS, f"nothing is changed: {error}")
-        if (deployment.deployment, deployment.hub, deployment.control) != (
-            self._deployment.deployment,
-            self._deployment.hub,
-            self._deployment.control,
-        ):
-            return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
+        if any(getattr(deployment, name) != getattr(self._deployment, name) for name in _LASTING):
+            return refused(Code.NOT_ALLOWED, f"nothing is changed: {_LASTING_TEXT} need a new `rtkmesh up`")
         self._deployment = deployment
         changes = self._keeper.apply(specs_of(deployment, self._options))
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
