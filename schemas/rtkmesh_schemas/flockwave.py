@@ -162,13 +162,13 @@ REQUESTS: Final[dict[str, type[Body]]] = {
 class Acknowledged(Body, frozen=True, kw_only=True):
     """ACK-ACK."""
 
-    type: Literal["ACK-ACK"] = "ACK-ACK"
+    type: Literal["ACK-ACK"]
 
 
 class Refused(Body, frozen=True, kw_only=True):
     """ACK-NAK with the reason."""
 
-    type: Literal["ACK-NAK"] = "ACK-NAK"
+    type: Literal["ACK-NAK"]
     reason: str = ""
 
 

@@ -74,12 +74,12 @@ def answered(question: Question | Refusal, body: Body) -> bytes:
 
 def acknowledged() -> Body:
     """Return ACK-ACK."""
-    return Acknowledged()
+    return Acknowledged(type="ACK-ACK")
 
 
 def refused(reason: str) -> Body:
     """Return ACK-NAK."""
-    return Refused(reason=reason)
+    return Refused(type="ACK-NAK", reason=reason)
 
 
 def _fault(raw: Mapping[str, Any], id_: str) -> Refusal | None:
