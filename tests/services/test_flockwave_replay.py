@@ -31,6 +31,7 @@ HOLDS_FROM, HOLDS_TO = (LOGS[1], "q5"), (LOGS[1], "q6")
 SELECTS = {LOGS[0]: ("q13", "base_a"), LOGS[1]: ("q1", "base_b")}
 ACKNOWLEDGED = {"type": "ACK-ACK"}
 DEFAULTS = {"settings": {"accuracy": 1.0, "duration": 60, "messageSet": "msm7"}, "type": "RTK-SURVEY"}
+GOAL = {"accuracy": 0.5, "duration": 30.0, "messageSet": "msm7"}
 RTCM3_ONLY = {"type": "ACK-NAK", "reason": "a source of format rtcm3 takes no orders: base-a cannot be surveyed (auto and ubx can)"}
 STREAM_PLACE = {"position": [461214594, 154376559, 253204, None], "positionECEF": [4268987000, 1178894000, 4574798000]}
 IDLE = {"antenna": {}, "cnr": {}, "messages": {}, "messages_tx": {}, "survey": {"accuracy": 0.0, "flags": 0}, "type": "RTK-STAT"}
@@ -64,14 +65,11 @@ DIFFERENT: dict[tuple[str, str], tuple[str, Any]] = {
     (LOGS[0], "z2"): ("1", ALL),
     (LOGS[0], "q46"): ("5: a line that is no message ends the connection", ALL),
     (LOGS[1], "q7"): (
-        "4, 6: called valid unheard; the base that is told its place goes on to send another one",
+        "4, 6: called valid unheard; the base goes on to send another place",
         {"accuracy": 0.02, "flags": 1},
     ),
-    (LOGS[1], "q9"): (
-        "3: the accuracy of a position becomes the goal of the survey",
-        {"accuracy": 0.5, "duration": 30.0, "messageSet": "msm7"},
-    ),
-    (LOGS[1], "q11"): ("3", {"accuracy": 0.5, "duration": 30.0, "messageSet": "msm7"}),
+    (LOGS[1], "q9"): ("3: the accuracy of a position becomes the goal of the survey", GOAL),
+    (LOGS[1], "q11"): ("3", GOAL),
     (LOGS[1], "q23"): ("2", {"type": "ACK-NAK", "reason": "no RTK source is selected: nothing to survey with"}),
     (LOGS[1], "z3"): ("5: an error of a client ends the connection", "No handler managed to parse this message in the server"),
     (LOGS[1], "z4"): ("5: a message without a body ends the connection", "Flockwave message does not match schema"),

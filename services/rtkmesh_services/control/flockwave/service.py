@@ -48,6 +48,13 @@ class Received:
     peer: Peer
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A question from Zenoh (as it is, the loop would take it for a command)."""
+
+    query: Query
+
+
 class Flockwave:
     """``ingest_of`` says which process receives a preset, or nothing."""
 
@@ -66,7 +73,7 @@ class Flockwave:
         """Begin to listen; BusError for an address that cannot be had."""
         inbox = self._context.inbox
         inbox.lane(_REQUESTS, capacity=_CAPACITY, on_drop=_say_busy)
-        self._context.bus.queryable(FLOCKWAVE.key(CONTROL_ID), lambda query: inbox.put(query, lane=_REQUESTS))
+        self._context.bus.queryable(FLOCKWAVE.key(CONTROL_ID), lambda query: inbox.put(Asked(query), lane=_REQUESTS))
         self._orders.start()
         if self._table.tcp or self._table.udp:
             self.server = self._serve()
@@ -76,8 +83,8 @@ class Flockwave:
         """Take an item of the inbox; return whether it was for Flockwave."""
         if isinstance(item, Received):
             self._received(item)
-        elif isinstance(item, Query):
-            self._asked(item)
+        elif isinstance(item, Asked):
+            self._asked(item.query)
         elif isinstance(item, Outcome):
             self._followed(item)
         elif not isinstance(item, Sample) or self._selected is None or not self._is_of_base(item, self._selected):
@@ -249,5 +256,5 @@ def _question_of(query: Query) -> Question | Refusal | None:
 
 
 def _say_busy(item: Any) -> None:
-    if isinstance(item, Query):
-        item.reply(bare(refused("too many messages wait")), JSON)
+    if isinstance(item, Asked):
+        item.query.reply(bare(refused("too many messages wait")), JSON)
