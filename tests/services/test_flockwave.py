@@ -3,7 +3,7 @@
 import json
 import socket
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -35,16 +35,14 @@ FIXED = {"position": [4268987123, 1178894456, 4574798789], "accuracy": 0.02}
 @pytest.fixture
 def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
-    world = World(tmp_path)
-    yield world
-    world.close()
+    with closing(World(tmp_path)) as world:
+        yield world
 
 
 @pytest.fixture
 def client(world: World) -> Iterator[SkybrushClient]:
-    client = SkybrushClient(world)
-    yield client
-    client.close()
+    with closing(SkybrushClient(world)) as client:
+        yield client
 
 
 def frame(number: int, size: int) -> bytes:

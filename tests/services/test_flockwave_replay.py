@@ -7,6 +7,7 @@ by ``AGE_MS``.
 
 import json
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -112,16 +113,14 @@ def pairs(path: Path) -> list[Pair]:
 @pytest.fixture
 def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
-    world = World(tmp_path)
-    yield world
-    world.close()
+    with closing(World(tmp_path)) as world:
+        yield world
 
 
 @pytest.fixture
 def client(world: World) -> Iterator[SkybrushClient]:
-    client = SkybrushClient(world)
-    yield client
-    client.close()
+    with closing(SkybrushClient(world)) as client:
+        yield client
 
 
 def said_again(log: str, recorded: list[Pair], world: World, client: SkybrushClient) -> dict[int, dict[str, Any] | None]:

@@ -14,6 +14,7 @@ from time import monotonic
 from typing import Final
 
 from rtkmesh_services.control.flockwave.envelope import MAXIMUM_BYTES
+from rtkmesh_services.waker import Waker
 
 POLL_S: Final = 0.25
 HEARD_S: Final = 60.0  # so long after its last datagram a peer is told what happens
@@ -58,13 +59,12 @@ class FlockwaveServer:
         self._stopping = threading.Event()
         self._listener = None if tcp is None else socket.create_server(tcp, family=_family(tcp))
         self._datagrams = None if udp is None else _bound(udp, self._listener)
-        self._wake_in, self._wake_out = socket.socketpair()
+        self._waker = Waker()
         self._selector = selectors.DefaultSelector()
-        for end in (self._listener, self._datagrams, self._wake_in, self._wake_out):
+        for end in (self._listener, self._datagrams, self._waker.reader):
             if end is not None:
                 end.setblocking(False)
-                if end is not self._wake_in:
-                    self._selector.register(end, selectors.EVENT_READ)
+                self._selector.register(end, selectors.EVENT_READ)
         self._thread = threading.Thread(target=self._run, daemon=True, name="flockwave")
 
     @property
@@ -84,22 +84,18 @@ class FlockwaveServer:
     def close(self) -> None:
         """Stop, and let go of everything."""
         self._stopping.set()
-        self._wake()
+        self._waker.wake()
         self._thread.join(1.0)
 
     def send(self, peer: Peer, message: bytes) -> None:
         """Send a message to a peer."""
         self._pending.append((peer, message))
-        self._wake()
+        self._waker.wake()
 
     def tell_all(self, message: bytes) -> None:
         """Send a message to all clients, and to who sent a datagram in the last minute."""
         self._pending.append((None, message))
-        self._wake()
-
-    def _wake(self) -> None:
-        with suppress(OSError):  # full: it is awake anyway; closed: nobody waits
-            self._wake_in.send(b"\0")
+        self._waker.wake()
 
     def _run(self) -> None:
         while not self._stopping.is_set():
@@ -108,22 +104,17 @@ class FlockwaveServer:
                     self._accept()
                 elif key.fileobj is self._datagrams:
                     self._receive()
-                elif key.fileobj is self._wake_out:
-                    self._drain()
+                elif key.fileobj is self._waker.reader:
+                    self._waker.drain()
                 else:
                     self._on_client(key.data, events)
             self._spread()
         for client in tuple(self._clients.values()):
             self._drop(client)
         self._selector.close()
-        for end in (self._listener, self._datagrams, self._wake_in, self._wake_out):
+        for end in (self._listener, self._datagrams, self._waker):
             if end is not None:
                 end.close()
-
-    def _drain(self) -> None:
-        with suppress(OSError):
-            while self._wake_out.recv(4096):
-                pass
 
     def _accept(self) -> None:
         assert self._listener is not None, "only a listener accepts"
