@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from rtkmesh_schemas.config_flockwave import FlockwaveTable
 from rtkmesh_schemas.config_presets import BasesTable, PresetNames, PresetTable
+from rtkmesh_schemas.config_rules import RuleTable
 
 Positive = Annotated[float, Meta(gt=0.0, lt=1e9)]
 NotNegative = Annotated[float, Meta(ge=0.0, lt=1e9)]
@@ -327,3 +328,4 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     monitor: dict[str, MonitorTable] = {}
     bases: BasesTable = BasesTable()
     preset: dict[str, PresetTable] = {}
+    rule: dict[str, RuleTable] = {}

@@ -10,14 +10,16 @@ from rtkmesh_schemas.errors import ConfigError, SchemaError
 from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
+from rtkmesh_services.control.automation import Automation, RuleSample
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
 from rtkmesh_services.control.flockwave.service import Flockwave
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.presets import PresetBook
 from rtkmesh_services.control.supervisor import ProcessState
-from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_deployment
+from rtkmesh_services.runtime.rule_words import parse_rule
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
 from rtkmesh_services.runtime.state_files import state_folder
 
@@ -44,18 +46,21 @@ class ControlService(Service):
         super().__init__(context)
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
-        self._last: dict[str, tuple[str, int]] = {}
         self._presets = PresetBook(context.deployment.preset, state_folder())
         self._flockwave = Flockwave(context, self._presets, self.ingest_of)
+        self._automation = Automation(context)
 
     def open(self) -> None:
-        """Listen to the heartbeats of all."""
+        """Listen to the heartbeats of all, and to what rules watch."""
         self._keeper.on_change(self._changed)
+        self._apply_rules()
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
         self._flockwave.open()
 
     def handle(self, item: Any) -> None:
-        """Take a status: the heartbeat of a work loop."""
+        """Take a status: the heartbeat of a work loop; a message that a rule watches; or what Flockwave is asked."""
+        if isinstance(item, RuleSample | Liveliness):
+            self._automation.take(item, self._now_s())
         if self._flockwave.handle(item) or not isinstance(item, Sample):
             return
         try:
@@ -66,19 +71,21 @@ class ControlService(Service):
         self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
         self._flockwave.status(status, item.received_mono_ns)
 
-    def tick(self, now_mono_ns: int) -> None:
-        """Follow the selected base."""
-        self._flockwave.tick(now_mono_ns)
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._flockwave.close()
-
     def ingest_of(self, preset: str) -> str:
         """Return which process receives a preset, empty: none."""
         found = self._presets.get(preset)
         source = "" if found is None else found.sources[0]
         return source.removeprefix("ingest://").partition("?")[0] if source.startswith("ingest://") else ""
+
+    def tick(self, now_mono_ns: int) -> None:
+        """Let time act on the rules; follow the selected base."""
+        self._flockwave.tick(now_mono_ns)
+        self._automation.tick(now_mono_ns * 1e-9)
+
+    def close(self) -> None:
+        """Let the rules go, stop listening."""
+        self._flockwave.close()
+        self._automation.close()
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
@@ -115,7 +122,9 @@ class ControlService(Service):
             **self._flockwave.counters(),
         }
         state = State.DEGRADED if failed else State.RUNNING
-        return Report(state=state, reason="; ".join(failed), counters=counters, data={"processes": rows})
+        return Report(
+            state=state, reason="; ".join(failed), counters=counters, data={"processes": rows, "rules": self._automation.report()}
+        )
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -132,9 +141,17 @@ class ControlService(Service):
         if any(getattr(deployment, name) != getattr(self._deployment, name) for name in _LASTING):
             return refused(Code.NOT_ALLOWED, f"nothing is changed: {_LASTING_TEXT} need a new `rtkmesh up`")
         self._deployment = deployment
+        self._apply_rules()
         changes = self._keeper.apply(specs_of(deployment, self._options))
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
         return accepted(text or "nothing has changed", **changes)
+
+    def _apply_rules(self) -> None:
+        rules = [parse_rule(name, table) for name, table in self._deployment.rule.items()]
+        self._automation.apply(rules, self._now_s())
+
+    def _now_s(self) -> float:
+        return self.context.clock.mono_ns() * 1e-9
 
     def _changed(self, row: dict[str, Any]) -> None:
         """Tell the network of a change (called in the keeper's thread)."""
