@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from rtkmesh_schemas.config_flockwave import FlockwaveTable
-from rtkmesh_schemas.config_presets import BasesTable, PresetNames, PresetTable
+from rtkmesh_schemas.config_presets import BasesTable, FilterTable, PresetNames, PresetTable
 from rtkmesh_schemas.config_rules import RuleTable
 
 Positive = Annotated[float, Meta(gt=0.0, lt=1e9)]
@@ -114,7 +114,7 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     ``position_ecef_m`` or ``position_llh_deg`` (lat, lon, ellipsoidal height) is the antenna's known position and replaces what the
     stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``options`` are RTKLIB's receiver options (``"-TADJ=0.1 -GL2L"``).
-    ``navigation`` marks a source of ephemerides only.
+    ``navigation`` marks a source of ephemerides only. ``filter`` says which frames are used.
     """
 
     source: str
@@ -128,6 +128,7 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     options: str = ""
     navigation: bool = False
     raw: bool = True
+    filter: FilterTable = FilterTable()
     commands: CommandsTable = CommandsTable()
     corrections: CorrectionsTable | None = None
     base_station: BaseStationTable | None = None

@@ -104,7 +104,7 @@ STREAMS: Final = (
     Stream("log", "rtk/{id}/log", Kind.PUBLISH, _ALL, "LogRecord", "what was said", 0.0, Priority.BACKGROUND),
     Stream("metrics", "rtk/{id}/metrics", Kind.PUBLISH, _ALL, "Metrics", "numbers", 1.0, Priority.DATA_LOW),
     Stream("latest", "rtk/{id}/latest", Kind.QUERYABLE, _WORKERS, "", "pull of the newest sol, att, status: ?what=sol,status"),
-    Stream("preset", "rtk/control/preset/{name}", Kind.QUERYABLE, (Role.CONTROL,), "Reply", "base station presets"),
+    Stream("preset", "rtk/control/preset/{name}", Kind.QUERYABLE, (Role.CONTROL,), "Reply", "a base station's preset: a get tells it with state and score; op select, update, delete"),
     Stream("flockwave", "rtk/flockwave", Kind.QUERYABLE, (Role.CONTROL,), "", "Flockwave RTK messages"),
     Stream("live", "rtk/@live/{role}/{id}", Kind.TOKEN, _ALL, "", "declared only when warm and attached; invisible to rtk/**"),
 )  # fmt: skip

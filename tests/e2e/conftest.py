@@ -195,7 +195,8 @@ def up(tmp_path: Path, port: int) -> Iterator[Callable[..., Deployment]]:
     def start(text: str, *arguments: str, **environment: str) -> Deployment:
         file = tmp_path / f"deployment{len(made)}.toml"
         file.write_text(f'[hub]\nlisten = ["tcp/127.0.0.1:{port}"]\n{text}')
-        made.append(Deployment(["up", str(file), "--json", *arguments], f"tcp/127.0.0.1:{port}", environment))
+        kept = {"RTKMESH_STATE": str(tmp_path / "state"), **environment}  # nothing of this host's, and nothing for it
+        made.append(Deployment(["up", str(file), "--json", *arguments], f"tcp/127.0.0.1:{port}", kept))
         return made[-1]
 
     yield start

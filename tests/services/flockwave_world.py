@@ -24,6 +24,7 @@ from rtkmesh_schemas.config import BaseStationTable, ControlTable, Deployment, I
 from rtkmesh_schemas.config_flockwave import FlockwaveTable
 from rtkmesh_schemas.config_presets import PresetTable
 from rtkmesh_schemas.keys import Role
+from rtkmesh_schemas.presets import ingest_id
 from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.service import ControlService
@@ -38,7 +39,7 @@ WAIT_S = 20.0
 PLACE = (4268987.0, 1178894.0, 4574798.0)
 CN0_DBHZ = {"G05": 40.625, "G12": 41.625, "G13": 42.625, "G14": 43.625}
 STATION = ReferenceStation(100, PLACE, antenna="ADVNULLANTENNA", antenna_serial="12345678")
-INGESTS = {"base-a": "base_a", "base-b": "base_b"}
+BASE_A, BASE_B = ingest_id("base-a"), ingest_id("base-b")
 
 
 def frames_at(second: int) -> bytes:
@@ -104,25 +105,18 @@ class Puppet:
                 connection.sendall(acknowledgement(frame, taken=True))
 
 
-class _Control(ControlService):
-    """Control whose presets are received by processes of the test."""
-
-    def ingest_of(self, preset: str) -> str:
-        return INGESTS.get(preset, "")
-
-
 class World:
     """All of it in this process but the sockets' threads. ``step`` lets what has come be worked on."""
 
     def __init__(self, folder: Path, **flockwave: Any) -> None:
         self.clock = ManualClock(mono_ns=time.monotonic_ns())
         self.network = MemoryNetwork(clock=self.clock, on_wait=self._wait)
-        self.puppets = {name: Puppet() for name in INGESTS.values()}
+        self.puppets = {name: Puppet() for name in (BASE_A, BASE_B)}
         self._thread = threading.current_thread()
         self._second = 0
         port = unused_port()
         self.deployment = Deployment(
-            ingest={name: self._table(name) for name in INGESTS.values()},
+            ingest={name: self._table(name) for name in (BASE_A, BASE_B)},
             preset={
                 "base-a": PresetTable(title="Base A", format="rtcm3", sources=("tcp://127.0.0.1:29502",)),
                 "base-b": PresetTable(title="Base B", format="auto", sources=("tcp://127.0.0.1:29503",)),
@@ -130,19 +124,19 @@ class World:
             flockwave=FlockwaveTable(**{"tcp": f"127.0.0.1:{port}", "udp": f"127.0.0.1:{port}", **flockwave}),
         )
         self.asker = MemoryBus("asker", self.network)
-        self.lives = {name: self._begun(name, Role.INGEST, IngestService) for name in INGESTS.values()}
+        self.lives = {name: self._begun(name, Role.INGEST, IngestService) for name in (BASE_A, BASE_B)}
         keeper = Keeper([], ControlTable())
-        self.lives["control"] = self._begun("control", Role.CONTROL, lambda context: _Control(context, keeper, LaunchOptions(folder)))
+        self.lives["control"] = self._begun("control", Role.CONTROL, lambda context: ControlService(context, keeper, LaunchOptions(folder)))
         self.address = ("127.0.0.1", port)
         self.until(lambda: all(life.service.report().inputs[0].state == "connected" for life in self._ingests()))
         self.advance(1.0)
 
     def _table(self, name: str) -> IngestTable:
-        station = BaseStationTable(mode="watch", receiver="ublox-legacy") if name == "base_b" else None
+        station = BaseStationTable(mode="watch", receiver="ublox-legacy") if name == BASE_B else None
         return IngestTable(source=f"tcp://127.0.0.1:{self.puppets[name].port}", base_station=station)
 
     def _ingests(self) -> list[Lifecycle]:
-        return [self.lives[name] for name in INGESTS.values()]
+        return [self.lives[name] for name in (BASE_A, BASE_B)]
 
     def _begun(self, name: str, role: Role, make: Callable[[Context], Any]) -> Lifecycle:
         context = Context(id=name, role=role, deployment=self.deployment, bus=MemoryBus(name, self.network), clock=self.clock)
@@ -185,9 +179,9 @@ class World:
 
     def _is_answered(self) -> bool:
         """Whether the receiver has answered what it was told, or does not answer at all: its time is not that of the clock."""
-        station = self.lives["base_b"].service._dialogue._station
+        station = self.lives[BASE_B].service._dialogue._station
         talk = station._conversation
-        return talk is None or not talk._attempt or not self.puppets["base_b"].acknowledges.is_set()
+        return talk is None or not talk._attempt or not self.puppets[BASE_B].acknowledges.is_set()
 
     def stream(self, ingest: str, from_s: float, to_s: float) -> None:
         """Let a base send what it sends between two instants after its selection, and time pass with it."""

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.services.flockwave_world import PLACE, SkybrushClient, World
+from tests.services.flockwave_world import BASE_A, BASE_B, PLACE, SkybrushClient, World
 
 from rtkmesh.gnss.frames import geodetic_from_ecef
 from rtkmesh_schemas.flockwave import NO_SCHEMA, Message, schema
@@ -275,7 +275,7 @@ def test_zenoh_is_answered_in_kind(world: World):
 def test_a_skybrush_client_gets_along(world: World, client: SkybrushClient):
     """What Skybrush Live asks after it has connected: answered, or refused in the words that it tolerates."""
     client.ask_body("RTK-SOURCE", id="base-a")
-    world.stream("base_a", 0.0, 0.5)
+    world.stream(BASE_A, 0.0, 0.5)
     assert client.ask_body("CONN-LIST")["ids"] == ["rtk:base-a"]
     information = client.ask_body("CONN-INF", ids=["rtk:base-a", "radio"])
     assert information["status"]["rtk:base-a"]["status"] == "connected"
@@ -300,7 +300,7 @@ def test_presets_are_made_changed_and_deleted(world: World, client: SkybrushClie
     assert shown["sources"] == ["ntrip://u:***@127.0.0.1:2101/MP"]
     changes = {name: {"title": "Other", "sources": shown["sources"]}}
     assert client.ask_body("X-RTK-UPDATE", ids=[name], updates=changes)["result"] == {name: True}
-    preset = world.lives["control"].service._presets.get(name)
+    preset = world.lives["control"].service._bases.book.get(name)
     assert (preset.title, preset.sources) == ("Other", (secret,))
     assert client.ask_body("X-RTK-UPDATE", ids=[name])["error"] == {name: "Preset does not match expected schema"}
     assert client.ask_body("X-RTK-SAVE") == {"type": "ACK-ACK"}
@@ -316,16 +316,16 @@ def test_the_source_may_change_any_number_of_times(world: World, client: Skybrus
     for name in ("base-a", "base-b", "base-a", "base-a", "base-b"):
         assert client.ask_body("RTK-SOURCE", id=name) == {"type": "ACK-ACK"}
         assert client.ask_body("RTK-SOURCE")["id"] == name
-    world.stream("base_a", 0.0, 1.5)
+    world.stream(BASE_A, 0.0, 1.5)
     told = client.ask_body("RTK-STAT")
     assert (told["messages"], told["cnr"], told["antenna"]) == ({}, {}, {})
-    world.stream("base_b", 0.0, 1.5)
+    world.stream(BASE_B, 0.0, 1.5)
     assert client.ask_body("RTK-STAT")["messages"]["rtcm3/1077"][1] == 8.0 * 80 * 2 / 10
 
 
 def test_a_selection_by_others_is_followed(world: World, client: SkybrushClient):
     """Who selects by other means than Flockwave is seen by its clients too."""
-    world.lives["control"].service._presets.select("base-b")
+    world.lives["control"].service._bases.book.select("base-b")
     world.advance(0.2)
     assert client.ask_body("RTK-SOURCE")["id"] == "base-b"
     assert client.notifications[0]["body"]["status"]["rtk:base-b"]["description"] == "RTK corrections (Base B)"
@@ -336,7 +336,7 @@ def test_a_selection_by_others_is_followed(world: World, client: SkybrushClient)
 
 def test_settings_reach_the_receiver_and_count_when_it_was_told(world: World, client: SkybrushClient):
     """RTK-SURVEY on a u-blox: the messages that it sends, then TMODE3 as recorded; the position stays until the source is chosen anew."""
-    puppet = world.puppets["base_b"]
+    puppet = world.puppets[BASE_B]
     client.ask_body("RTK-SOURCE", id="base-b")
     assert client.ask_body("X-RTK-SURVEY", settings={"duration": 30, "accuracy": 0.5, "messageSet": "msm4", "gnssTypes": ["gps"]}) == {
         "type": "ACK-ACK"
@@ -518,7 +518,7 @@ def test_surveys_are_told_by_their_flags(data: dict[str, Any], flags: int, accur
 def test_a_beacon_without_word_is_inactive_and_goes_with_its_base(world: World, client: SkybrushClient):
     """Fifteen seconds after the last position."""
     client.ask_body("RTK-SOURCE", id="base-a")
-    world.stream("base_a", 0.0, 0.5)
+    world.stream(BASE_A, 0.0, 0.5)
     world.advance(15.2)
     client.ask_body("RTK-SOURCE", id=None)
     client.silence()

@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from tests.services.flockwave_world import SkybrushClient, World
+from tests.services.flockwave_world import BASE_A, BASE_B, SkybrushClient, World
 
 from rtkmesh_schemas.flockwave import ANSWERS, Message, request_of
 from rtkmesh_services.runtime.state_files import STATE_VARIABLE
@@ -29,7 +29,7 @@ INSTANTS = {
 }
 # The recorded base was told its place after the second of these: until then ours does not answer.
 HOLDS_FROM, HOLDS_TO = (LOGS[1], "q5"), (LOGS[1], "q6")
-SELECTS = {LOGS[0]: ("q13", "base_a"), LOGS[1]: ("q1", "base_b")}
+SELECTS = {LOGS[0]: ("q13", BASE_A), LOGS[1]: ("q1", BASE_B)}
 ACKNOWLEDGED = {"type": "ACK-ACK"}
 DEFAULTS = {"settings": {"accuracy": 1.0, "duration": 60, "messageSet": "msm7"}, "type": "RTK-SURVEY"}
 GOAL = {"accuracy": 0.5, "duration": 30.0, "messageSet": "msm7"}

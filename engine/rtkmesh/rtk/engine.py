@@ -118,13 +118,27 @@ class Rtk:
     def antennas(self, rover: Antenna | None, base: Antenna | None) -> None:
         """Take the antennas of both ends; None where one is not known, and then neither is corrected: half a correction is worse than none.
 
-        A change begins the filter anew: its ambiguities stand for the phase centres that were.
+        A change begins the filter anew, if it has ambiguities: they stand for the phase centres that were.
         """
         patterns = NO_PATTERNS if rover is None or base is None else join_patterns(rover, base)
         if np.array_equal(patterns, self._setup.antennas):
             return
         self._setup = self._setup._replace(antennas=patterns)
-        self.reset()
+        if self._state is None or len(self._state.filter.keys):
+            self.reset()
+
+    def with_other_base(self) -> "Rtk":
+        """Return an engine for the same rover and another base: what does not depend on the base goes on, this engine is not changed.
+
+        The baseline of a moving base is another one then: nothing of it goes on.
+        """
+        other = Rtk(self.options, self.direction)
+        other._klobuchar, other._point, other._setup = self._klobuchar, self._point, self._setup
+        other._resets, other._was_fixed = self._resets, self._was_fixed
+        if self._state is not None and self.options.mode is not Mode.MOVING_BASE:
+            sigma_m = 0.0 if self.options.mode is Mode.FIXED else float(_SEED_MOVING[0])
+            other._state = self._state.for_other_base(sigma_m)
+        return other
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""

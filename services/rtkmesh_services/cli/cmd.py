@@ -21,6 +21,8 @@ _POSITIONAL = {
     "stop": ("id",),
     "restart": ("id",),
     "output": ("id", "lines"),
+    "preset": ("action", "id"),
+    "base": ("id",),
 }
 
 _EXAMPLES = """

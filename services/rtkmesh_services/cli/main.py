@@ -32,6 +32,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "receiver": ("rtkmesh_services.cli.receiver:app", "Set up a receiver by a recipe, and read back what it says."),
     "ports": ("rtkmesh_services.cli.ports:app", "Show the serial ports, and who is behind them."),
     "base": ("rtkmesh_services.cli.base:app", "Show, save and forget the positions of base stations of this host."),
+    "preset": ("rtkmesh_services.cli.preset:app", "List, select, make and score the base stations of a running network."),
     "ntrip": ("rtkmesh_services.cli.ntrip:app", "Ask a caster: which mount points it has, and which is nearest."),
     "recover": ("rtkmesh_services.cli.recover:app", "Repair raw logs after a crash or a power cut; the originals stay."),
     "warm": ("rtkmesh_services.cli.warm:app", "Compile the engine's kernels into the cache."),

@@ -81,14 +81,20 @@ def clean_environment(inherited: Mapping[str, str], role: Role) -> dict[str, str
 
 def _spec(id_: str, role: Role, deployment: Deployment, options: LaunchOptions) -> ProcessSpec:
     table = None if role is Role.HUB else getattr(deployment, role)[id_]
-    python = getattr(table, "python", "") or options.python
-    argv = [python, "-m", "rtkmesh_services.cli.main", "run", str(role), "--id", id_, "--config", str(options.file)]
-    environment = clean_environment(os.environ, role)
+    tables = msgspec.json.encode([deployment.deployment, deployment.hub, table, _referenced(table, deployment)])
+    return spec_for(id_, role, options, tables, python=getattr(table, "python", ""))
+
+
+def spec_for(
+    id_: str, role: Role, options: LaunchOptions, tables: bytes, told: Mapping[str, str] | None = None, python: str = ""
+) -> ProcessSpec:
+    """Return how a process is started; ``told`` is added to its environment, ``python`` runs it instead of ours."""
+    argv = [python or options.python, "-m", "rtkmesh_services.cli.main", "run", str(role), "--id", id_, "--config", str(options.file)]
+    environment = clean_environment(os.environ, role) | dict(told or {})
     if options.data_folder is not None:
         environment[DATA_VARIABLE] = str(options.data_folder)
     if options.speed and role is not Role.HUB:
         argv += ["--speed", options.speed]
-    tables = msgspec.json.encode([deployment.deployment, deployment.hub, table, _referenced(table, deployment)])
     return ProcessSpec(id_, role, tuple(argv), environment, tables)
 
 

@@ -125,6 +125,19 @@ class Keeper:
         self._change(act)
         return {"removed": removed, "added": [s.id for s in added], "restarted": [s.id for s in changed]}
 
+    def adopt(self, spec: ProcessSpec) -> None:
+        """Keep a further process, beside those of ``apply``; another definition of one that is there restarts it."""
+        self._change(lambda now_s: self._supervisor.adopt(spec, now_s))
+
+    def dismiss(self, id: str) -> None:  # noqa: A002
+        """Stop a process that was adopted, and forget it."""
+
+        def act(now_s: float) -> None:
+            if self._supervisor.record(id) is not None:
+                self._supervisor.remove(id, now_s)
+
+        self._change(act)
+
     def last_lines(self, id: str, count: int) -> list[str]:  # noqa: A002
         """Return the newest lines that a process wrote."""
         with self._lock:

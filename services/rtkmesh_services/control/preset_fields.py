@@ -11,6 +11,8 @@ from rtkmesh_services.runtime.preset_checks import source_fault
 from rtkmesh_services.runtime.words import clip, nearest
 
 NO_MATCH: Final = "Preset does not match expected schema"
+NO_SUCH: Final = "No such RTK preset"
+NOT_OURS: Final = "Only user-defined presets can be deleted"
 FIELDS: Final = tuple(field.name for field in msgspec.structs.fields(PresetTable))
 
 

@@ -16,12 +16,10 @@ import msgspec
 
 from rtkmesh_schemas.config_presets import FilterTable, PresetTable
 from rtkmesh_schemas.presets import PRESET_NAME, Preset, PresetFile, PresetType, Selection
-from rtkmesh_services.control.preset_fields import PresetError, changed_table, new_table
+from rtkmesh_services.control.preset_fields import NO_SUCH, NOT_OURS, PresetError, changed_table, new_table
 from rtkmesh_services.control.preset_ports import FoundPort
 from rtkmesh_services.runtime.state_files import locked, write_state
 
-NO_SUCH: Final = "No such RTK preset"
-NOT_OURS: Final = "Only user-defined presets can be deleted"
 USERS_FILE: Final = "presets.json"
 SELECTION_FILE: Final = "preset_selection.json"
 MAXIMUM_USER_PRESETS: Final = 200
@@ -127,6 +125,11 @@ class PresetBook:
             return self._selection.solvers[solver]
         return self._selection.fleet
 
+    @property
+    def chosen(self) -> bool:
+        """Whether somebody has ever chosen for all."""
+        return self._selection.made
+
     def own(self, solver: str) -> bool:
         """Return whether a solver has a selection of its own."""
         return solver in self._selection.solvers
@@ -146,7 +149,7 @@ class PresetBook:
         """End a solver's own selection: the fleet's counts for it again."""
         if solver in self._selection.solvers:
             solvers = {name: id_ for name, id_ in self._selection.solvers.items() if name != solver}
-            self._keep(Selection(fleet=self._selection.fleet, solvers=solvers, made=True))
+            self._keep(Selection(fleet=self._selection.fleet, solvers=solvers, made=self._selection.made))
             self._tell(Change.SELECTED, self._selection.fleet or "", solver)
 
     def on_change(self, listener: Listener) -> None:
@@ -156,8 +159,13 @@ class PresetBook:
     # -- inner
 
     def _set(self, id_: str | None, solver: str) -> None:
-        solvers = {**self._selection.solvers, solver: id_} if solver else {}
-        self._keep(Selection(fleet=self._selection.fleet if solver else id_, solvers=solvers, made=True))
+        self._keep(self._with(id_, solver, self._selection.solvers if solver else {}))
+
+    def _with(self, id_: str | None, solver: str, solvers: Mapping[str, str | None]) -> Selection:
+        """Return the selection with another one for a solver or for the fleet."""
+        if solver:
+            return Selection(fleet=self._selection.fleet, solvers={**solvers, solver: id_}, made=self._selection.made)
+        return Selection(fleet=id_, solvers=dict(solvers), made=True)
 
     def _keep(self, selection: Selection) -> None:
         self._selection = selection
@@ -180,8 +188,7 @@ class PresetBook:
         """Select nothing where a preset was that is not there any more; remember a port for the case that it is back soon."""
         if lost:
             self._lost[solver] = id_
-        solvers = {**self._selection.solvers, **({solver: None} if solver else {})}
-        self._keep(Selection(fleet=self._selection.fleet if solver else None, solvers=solvers, made=True))
+        self._keep(self._with(None, solver, self._selection.solvers))
         self._tell(Change.LOST, id_, solver)
 
     def _select_again(self, id_: str) -> None:
@@ -190,8 +197,7 @@ class PresetBook:
                 continue
             del self._lost[solver]
             if self._clock_s() - self._chosen_s.get(solver, -BACK_S) <= BACK_S:
-                solvers = {**self._selection.solvers, **({solver: id_} if solver else {})}
-                self._keep(Selection(fleet=self._selection.fleet if solver else id_, solvers=solvers, made=True))
+                self._keep(self._with(id_, solver, self._selection.solvers))
                 self._tell(Change.BACK, id_, solver)
 
     def _users(self, id_: str) -> Preset:
@@ -223,14 +229,14 @@ class PresetBook:
 
     def _read_selection(self, builtin: Mapping[str, PresetTable]) -> None:
         kept = self._read(SELECTION_FILE, Selection)
-        if kept is not None and kept.made:
-            there = {solver: id_ for solver, id_ in kept.solvers.items() if id_ is None or id_ in self._presets}
-            self._selection = Selection(fleet=kept.fleet if kept.fleet in self._presets else None, solvers=there, made=True)
-            if kept.fleet and self._selection.fleet is None:  # a port that is perhaps there in a moment
-                self._lost[""], self._chosen_s[""] = kept.fleet, self._clock_s()
-            return
-        first = next((id_ for id_, table in builtin.items() if table.auto_select), None)
-        self._selection = Selection(fleet=first)
+        kept = Selection() if kept is None else kept
+        first = kept.fleet if kept.made else next((id_ for id_, table in builtin.items() if table.auto_select), None)
+        wanted = {"": first, **kept.solvers}
+        there = {solver: id_ if id_ in self._presets else None for solver, id_ in wanted.items()}
+        self._selection = Selection(fleet=there.pop(""), solvers=there, made=kept.made)
+        for solver, id_ in wanted.items():
+            if id_ is not None and id_ not in self._presets:  # a port that is perhaps there in a moment
+                self._lost[solver], self._chosen_s[solver] = id_, self._clock_s()
 
     def _read(self, name: str, type_: type[T]) -> T | None:
         file = None if self._folder is None else self._folder / name

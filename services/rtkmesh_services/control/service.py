@@ -11,17 +11,20 @@ from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.control.automation import Automation, RuleSample
+from rtkmesh_services.control.base_keys import PresetQuestion, answer, declare_with
+from rtkmesh_services.control.base_words import HELP as PRESET_HELP
+from rtkmesh_services.control.base_words import PresetDesk
+from rtkmesh_services.control.bases import LANE as BASES_LANE
+from rtkmesh_services.control.bases import Bases
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
 from rtkmesh_services.control.flockwave.service import Flockwave
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
-from rtkmesh_services.control.presets import PresetBook
 from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_deployment
 from rtkmesh_services.runtime.rule_words import parse_rule
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
-from rtkmesh_services.runtime.state_files import state_folder
 
 ALL: Final = frozenset({"all", "*"})
 _DEFAULT_LINES: Final = 50
@@ -39,6 +42,7 @@ class ControlService(Service):
         "stop": "stop a process and leave it stopped: id=ID, or id=all (all but the hub)",
         "restart": "stop a process and start it: id=ID, or id=all (all but the hub)",
         "reload": "read the deployment file again and apply what has changed",
+        "preset": PRESET_HELP,
         "output": "the newest lines that a process wrote: id=ID [lines=50]",
     }
 
@@ -46,8 +50,9 @@ class ControlService(Service):
         super().__init__(context)
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
-        self._presets = PresetBook(context.deployment.preset, state_folder())
-        self._flockwave = Flockwave(context, self._presets, self.ingest_of)
+        self._bases = Bases(context, keeper, options)
+        self._presets = PresetDesk(self._bases.book, self._bases)
+        self._flockwave = Flockwave(context, self._bases.book)
         self._automation = Automation(context)
 
     def open(self) -> None:
@@ -55,13 +60,16 @@ class ControlService(Service):
         self._keeper.on_change(self._changed)
         self._apply_rules()
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
+        self._bases.open(declare_with(self.context, BASES_LANE))
         self._flockwave.open()
 
     def handle(self, item: Any) -> None:
-        """Take a status: the heartbeat of a work loop; a message that a rule watches; or what Flockwave is asked."""
+        """Take a status, the heartbeat of a work loop; what concerns base stations or Flockwave; a message that a rule watches."""
+        if isinstance(item, PresetQuestion):
+            answer(self._presets, item, self.context)
         if isinstance(item, RuleSample | Liveliness):
             self._automation.take(item, self._now_s())
-        if self._flockwave.handle(item) or not isinstance(item, Sample):
+        if self._bases.took(item) or self._flockwave.handle(item) or not isinstance(item, Sample):
             return
         try:
             status = decode(ServiceStatus, item.payload, item.encoding)
@@ -69,21 +77,18 @@ class ControlService(Service):
             self.context.log.debug("a status that is none on %s: %s", item.key, error)
             return
         self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
+        self._bases.heard(status, item.received_mono_ns * 1e-9)
         self._flockwave.status(status, item.received_mono_ns)
 
-    def ingest_of(self, preset: str) -> str:
-        """Return which process receives a preset, empty: none."""
-        found = self._presets.get(preset)
-        source = "" if found is None else found.sources[0]
-        return source.removeprefix("ingest://").partition("?")[0] if source.startswith("ingest://") else ""
-
     def tick(self, now_mono_ns: int) -> None:
-        """Let time act on the rules; follow the selected base."""
+        """Bring the base stations to what is wanted; let time act on the rules."""
+        self._bases.tick(now_mono_ns * 1e-9)
         self._flockwave.tick(now_mono_ns)
         self._automation.tick(now_mono_ns * 1e-9)
 
     def close(self) -> None:
-        """Let the rules go, stop listening."""
+        """Ask no solver any more, let the rules go, stop listening."""
+        self._bases.close()
         self._flockwave.close()
         self._automation.close()
 
@@ -91,6 +96,8 @@ class ControlService(Service):
         """Act on the desired state of processes."""
         if request.op == "reload":
             return self._reload()
+        if request.op == "preset":
+            return self._presets.command(request)
         id_ = str(request.args.get("id", request.args.get("name", "")))
         known = [row["id"] for row in self._keeper.rows()]
         if not id_:
@@ -122,9 +129,8 @@ class ControlService(Service):
             **self._flockwave.counters(),
         }
         state = State.DEGRADED if failed else State.RUNNING
-        return Report(
-            state=state, reason="; ".join(failed), counters=counters, data={"processes": rows, "rules": self._automation.report()}
-        )
+        data = {"processes": rows, "rules": self._automation.report(), **self._bases.data()}
+        return Report(state=state, reason="; ".join(failed), counters=counters, data=data)
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -143,6 +149,7 @@ class ControlService(Service):
         self._deployment = deployment
         self._apply_rules()
         changes = self._keeper.apply(specs_of(deployment, self._options))
+        self._bases.reload(deployment)
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
         return accepted(text or "nothing has changed", **changes)
 

@@ -97,6 +97,15 @@ class Supervisor:
         if record.wanted:
             self.restart(spec.id, now_s)
 
+    def adopt(self, spec: ProcessSpec, now_s: float) -> None:
+        """Take a process into the fleet, also one that is about to be forgotten; another definition restarts it."""
+        record = self._records.get(spec.id)
+        if record is None:
+            self.add(spec)
+        elif record.removed or record.spec != spec:
+            record.removed, record.spec = False, spec
+            self.restart(spec.id, now_s)
+
     def remove(self, id: str, now_s: float) -> None:  # noqa: A002  the word of the design
         """Stop a process and forget it as soon as it is gone."""
         record = self._records[id]

@@ -4,7 +4,7 @@ from typing import Final
 
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.config_presets import PresetTable
-from rtkmesh_schemas.presets import PRESET_NAME
+from rtkmesh_schemas.presets import PRESET_NAME, ingest_id
 from rtkmesh_services.runtime.faults import Faults
 from rtkmesh_services.runtime.words import clip, nearest
 
@@ -35,6 +35,8 @@ def source_fault(source: str) -> str:
 
 
 def _check_preset(reader: Faults, name: str, table: PresetTable) -> None:
+    if ingest_id(name) in reader.names_of("ingest"):
+        reader.fault(("preset", name), f"[preset.{name}] its stream is read by a process {ingest_id(name)!r}: [ingest] has one of that id")
     if not PRESET_NAME.fullmatch(name):
         reader.fault(("preset", name), f"[preset.{clip(name)}] is no preset's name: 1 to 64 letters, digits, '_', '-', '.'")
     for index, source in enumerate(table.sources):

@@ -27,9 +27,10 @@ from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_solver_table
 from rtkmesh_services.runtime.service import Context, Report, Service, done
 from rtkmesh_services.runtime.statistics import RollingQuantiles
+from rtkmesh_services.solver.bases import BaseChanger, Subscriptions, Wiring, ingest_of
 from rtkmesh_services.solver.followers import Followers
 from rtkmesh_services.solver.formats import publish_texts
-from rtkmesh_services.solver.inputs import CREDIT_EVERY, STREAMS, InputStream
+from rtkmesh_services.solver.inputs import CREDIT_EVERY, InputStream
 from rtkmesh_services.solver.warming import warm_engine
 
 SATELLITES_PERIOD_NS = 1_000_000_000
@@ -49,6 +50,7 @@ class SolverService(Service):
         "start": "begin with a fresh filter",
         "stop": "no more solutions; ephemerides are still collected",
         "restart": "stop and start",
+        "base": "id=INGEST [antenna=NAME] [timeout_s=15]: use another base as soon as it delivers, the rover's state goes on",
         "load": "FILE: take the [solver] table of a file below the configuration folder, with a fresh filter",
     }
 
@@ -68,6 +70,10 @@ class SolverService(Service):
         self._satellites_ns = self._ready_ns = 0
         self._opened_s = 0.0
         self._followers = Followers(context)
+        self._subscriptions = Subscriptions(context)
+        self._bases = BaseChanger(
+            Wiring(context, self._session, self._inputs, self._subscriptions, self.table, self._take_table, self._session_options)
+        )
 
     def warm(self) -> None:
         """Compile or load the engine's kernels."""
@@ -79,22 +85,18 @@ class SolverService(Service):
         self._followers.watch()
         self.context.bus.on_live(self._on_live)
         for name in self._inputs:
-            for stream in STREAMS:
-                fields = {"satellite": "*"} if "{satellite}" in stream.template else {}
-                self.context.subscribe(stream.key(name, **fields), lane=f"in:{name}", history=stream.cache > 0)
+            self._subscriptions.open(name)
 
     def handle(self, item: Any) -> None:
         """Take one sample of a stream and solve what can be solved."""
         if isinstance(item, Liveliness):
-            self._inputs[item.id].owner_left()
+            self._owner_left(item.id)
         if not isinstance(item, Sample):
             return
-        stream = self._inputs.get(item.key.split("/")[1])
-        if stream is None:
-            return
-        now_s = self._now_s()
-        for arrival in stream.take(item, now_s):
-            self._feed(arrival.source, arrival.message, arrival.received_mono_ns, now_s)
+        name, now_s = item.key.split("/")[1], self._now_s()
+        if not self._bases.takes(name, item, now_s) and (stream := self._inputs.get(name)) is not None:
+            for arrival in stream.take(item, now_s):
+                self._feed(arrival.source, arrival.message, arrival.received_mono_ns, now_s)
         self._advance()
 
     def tick(self, now_mono_ns: int) -> None:
@@ -116,6 +118,9 @@ class SolverService(Service):
         """Start, stop, restart or load."""
         if request.op == "stop":
             return self._stop()
+        if request.op == "base":
+            with self._refusals():
+                return self._bases.command(request, self._now_s())
         if request.op == "load":
             return self._load(str(request.args.get("file", "")))
         if request.op == "start" and self._running:
@@ -134,7 +139,7 @@ class SolverService(Service):
         return Report(
             state=state,
             reason=reason,
-            inputs=[stream.status(now_s) for stream in self._inputs.values()],
+            inputs=[stream.status(now_s) for stream in self._inputs.values()] + self._bases.statuses(now_s),
             counters={
                 **{f"solutions_{name.lower()}": count for name, count in self._statuses.items()},
                 **{f"integrity_{name}": count for name, count in self._integrities.items()},
@@ -147,6 +152,7 @@ class SolverService(Service):
                 "mode": self._table.mode,
                 "rover": self._table.rover,
                 "base": self._table.base,
+                **self._bases.data(now_s),
                 "end": self._ended(),
                 **({} if newest is None else _newest_words(newest)),
                 "antennas": {**self._session.antennas, "corrected": self._session.corrects_antennas},
@@ -154,8 +160,16 @@ class SolverService(Service):
         )
 
     def _on_live(self, change: Liveliness) -> None:
-        if not change.alive and change.id in self._inputs:
+        if not change.alive:
             self.context.inbox.put(change, lane=f"in:{change.id}")
+
+    def _owner_left(self, name: str) -> None:
+        self._bases.owner_left(name)
+        if (stream := self._inputs.get(name)) is not None:
+            stream.owner_left()
+
+    def _take_table(self, table: SolverTable) -> None:
+        self._table = table
 
     def _sources(self) -> list[tuple[Source, str]]:
         table = self._table
@@ -163,7 +177,7 @@ class SolverService(Service):
         return [(source, name) for source, name in named if name] + [(Source.NAVIGATION, name) for name in navigation_only(table)]
 
     def _ingest(self, name: str) -> IngestTable:
-        return self.context.deployment.ingest[name]
+        return ingest_of(self.context, name)
 
     def _session_options(self, table: SolverTable) -> SessionOptions:
         """Return the engine's options of a table with this solver's streams."""
@@ -190,6 +204,7 @@ class SolverService(Service):
         self._session.feed(source, message, now_s)
 
     def _advance(self) -> None:
+        self._bases.advance(self._now_s())
         while self._running and (pair := self._session.next_pair(self._now_s())) is not None:
             self._solve(pair)
         self._credit()
@@ -199,6 +214,7 @@ class SolverService(Service):
         solution = self._session.solve(pair)
         solved = self.context.clock.mono_ns()
         self._newest = solution
+        self._bases.solved(solution)
         self._statuses[solution.status.name] += 1
         self._integrities[solution.integrity.value] += 1
         self._solve_ms.add(solved, (solved - begun) * 1e-6)
@@ -316,6 +332,7 @@ def _newest_words(solution: Solution) -> dict[str, Any]:
     """Return what a status tells of the newest solution."""
     return {
         "solution": solution.status.name,
+        **({"position_ecef_m": [round(x, 1) for x in solution.position_ecef_m.tolist()]} if solution.status is not Status.NONE else {}),
         "fix_probability": solution.fix_probability,
         "integrity": solution.integrity.value,
         "integrity_reason": solution.integrity_reason.name.lower(),

@@ -10,6 +10,7 @@ from typing import Any, Final
 from rtkmesh_schemas.errors import SchemaError
 from rtkmesh_schemas.flockwave import NO_SCHEMA, BeaconBasicProperties, Body, Statistics
 from rtkmesh_schemas.keys import CONTROL_ID, FLOCKWAVE
+from rtkmesh_schemas.presets import Preset, ingest_id
 from rtkmesh_schemas.status import ServiceStatus
 from rtkmesh_schemas.wire import JSON
 from rtkmesh_services.control.flockwave.desk import Desk, Presets, Respond
@@ -58,8 +59,8 @@ class Asked:
 class Flockwave:
     """``ingest_of`` says which process receives a preset, or nothing."""
 
-    def __init__(self, context: Context, presets: Presets, ingest_of: Callable[[str], str]) -> None:
-        self._context, self._presets, self._ingest_of = context, presets, ingest_of
+    def __init__(self, context: Context, presets: Presets, ingest_of: Callable[[Preset], str] | None = None) -> None:
+        self._context, self._presets, self._ingest_of = context, presets, ingest_of or receiving
         self._table = context.deployment.flockwave
         self._desk = Desk(presets, self)
         self._selected: SelectedBase | None = None
@@ -226,7 +227,7 @@ class Flockwave:
         """Go over to the preset that is selected now, whoever has selected it."""
         id_ = self._presets.selected()
         preset = None if id_ is None else self._presets.get(id_)
-        ingest = "" if preset is None else self._ingest_of(preset.id)
+        ingest = "" if preset is None else self._ingest_of(preset)
         old = self._selected
         if (preset, ingest) == (None, "") and old is None:
             return
@@ -245,6 +246,12 @@ class Flockwave:
         if (known := self._statuses.get(base.ingest)) is not None:
             base.status(*known)
         return base
+
+
+def receiving(preset: Preset) -> str:
+    """Return the ingest that receives a preset: one of the file that it names, or its own."""
+    source = preset.sources[0]
+    return source.removeprefix("ingest://").partition("?")[0] if source.startswith("ingest://") else ingest_id(preset.id)
 
 
 def _question_of(query: Query) -> Question | Refusal | None:
