@@ -67,6 +67,17 @@ def listed(deployment: Deployment) -> dict[str, dict[str, Any]]:
     return {row["id"]: row for row in preset(deployment, "list").data.get("presets", [])}
 
 
+def scored(deployment: Deployment, name: str, least: float) -> Callable[[], bool]:
+    """Return whether control's status gives a preset at least this score."""
+    statuses = deployment.statuses()
+
+    def look() -> bool:
+        status = statuses.get("control")
+        return status is not None and status.data.get("preset_scores", {}).get(name, {}).get("score", 0.0) > least
+
+    return look
+
+
 def solutions_of(deployment: Deployment, solver: str) -> list[SolutionMessage]:
     """Return all solutions from now on; what is returned goes on being filled."""
     found: list[SolutionMessage] = []
@@ -100,7 +111,7 @@ def test_bases_are_switched_for_all_and_for_one_and_fail_over_without_losing_an_
     deployment.until(uses(first, "base_near"), 90.0)  # the first of its list, without a word
     assert {solution.base for solution in second} <= {""}
 
-    deployment.until(lambda: listed(deployment)["far"]["score"] > 0.5)
+    deployment.until(scored(deployment, "far", 0.5))
     begun = len(first)
     assert preset(deployment, "select", id="far").ok
     deployment.until(uses(first, "base_far"))
@@ -118,10 +129,16 @@ def test_bases_are_switched_for_all_and_for_one_and_fail_over_without_losing_an_
     assert decode(Reply, answer.payload, answer.encoding).ok
     deployment.until(uses(second, "base_near"))
     assert first[-1].base == "base_far"
-    rows = listed(deployment)
-    assert (rows["near"]["used_by"], rows["far"]["used_by"]) == (["second"], ["rtk"])
+    statuses = deployment.statuses()
+    deployment.until(lambda: "second" in statuses and statuses["second"].data.get("base") == "base_near")
+    rows = deployment.until(lambda: (told := listed(deployment))["near"]["used_by"] == ["second"] and told)
+    assert rows["far"]["used_by"] == ["rtk"]
     assert (rows["near"]["selected"], rows["far"]["selected"]) == (False, True)
     assert 3.0e3 < rows["far"]["distance_m"] + rows["near"]["distance_m"] < 1.0e4
+
+    assert deployment.ask("control", "restart", id="second").ok  # a solver that begins anew is told its base again
+    deployment.until(lambda: second and second[-1].base == "")
+    deployment.until(uses(second, "base_near"))
 
     assert deployment.ask("control", "stop", id="caster_far").ok
     deployment.until(uses(first, "base_near"), 60.0)
@@ -146,7 +163,7 @@ def test_presets_of_users_are_made_selected_kept_and_there_after_a_restart(
     assert run(["preset", "select", "min", *connect]) == 1
     assert "did you mean 'mine'" in capsys.readouterr().err
     assert run(["preset", "update", "mine", "--fields", '{"standby": true}', *connect]) == 0
-    deployment.until(lambda: listed(deployment)["mine"]["score"] > 0.5, 60.0)
+    deployment.until(scored(deployment, "mine", 0.5), 60.0)
     assert run(["preset", "list", *connect]) == 0
     assert "base_mine" in deployment.rows()
     assert "Mine" in capsys.readouterr().out
@@ -154,7 +171,7 @@ def test_presets_of_users_are_made_selected_kept_and_there_after_a_restart(
     deployment.interrupt()
     assert deployment.left() == []
     again = up(text)
-    again.until(lambda: listed(again).get("mine", {}).get("score", 0.0) > 0.5, 60.0)
+    again.until(scored(again, "mine", 0.5), 60.0)
     assert preset(again, "list").data["selected"] == "mine"
     assert run(["preset", "remove", "mine", *connect]) == 0
     again.until(lambda: "base_mine" not in again.rows())
@@ -215,7 +232,7 @@ def test_a_receiver_that_is_plugged_in_is_a_preset_and_is_selected_again_when_it
     assert (found["type"], found["auto_survey"]) == ("dynamic", True)
     chosen_s = time.monotonic()
     assert preset(deployment, "select", id=mine).ok
-    deployment.until(lambda: listed(deployment)[mine]["score"] > 0.1, 60.0)
+    deployment.until(scored(deployment, mine, 0.1), 60.0)
     receiver.unplug()
     deployment.until(lambda: mine not in listed(deployment))
     assert preset(deployment, "list").data["selected"] is None

@@ -81,6 +81,24 @@ def test_first_heartbeat_makes_it_running_and_one_of_another_pid_does_not() -> N
     assert fleet.row("rover")["state"] == "RUNNING"
 
 
+def test_a_process_that_is_adopted_again_while_it_ends_comes_back_with_its_new_definition() -> None:
+    fleet = Fleet(HUB, ROVER)
+    base = ProcessSpec("base_near", Role.INGEST, ("near",))
+    fleet.supervisor.adopt(base, fleet.now_s)
+    assert spawns(fleet.run()) == ["base_near"]
+    fleet.supervisor.adopt(base, fleet.now_s)
+    assert fleet.run(1.0) == []  # nothing has changed
+    fleet.supervisor.remove("base_near", fleet.now_s)
+    changed = ProcessSpec("base_near", Role.INGEST, ("other",))
+    fleet.supervisor.adopt(changed, fleet.now_s)
+    assert [action.verb for action in fleet.run()] == [Verb.TERMINATE]
+    fleet.die("base_near", 0)
+    assert spawns(fleet.run(0.2)) == ["base_near"]
+    record = fleet.supervisor.record("base_near")
+    assert record is not None
+    assert record.spec == changed
+
+
 def test_back_off_doubles_from_the_first_to_the_last_delay() -> None:
     limits = ControlTable(crash_limit=100, crash_window_s=1000.0)
     fleet = Fleet(ROVER, limits=limits)

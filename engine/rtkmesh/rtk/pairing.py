@@ -169,6 +169,7 @@ class Pairing:
         self._bases.clear()
         self._base_order, self._base_ended, self._orderly = 0, False, 0
         self._base_arrived_s, self._reorder_wait_s = -inf, _FIRST_REORDER_WAIT_S
+        self._first_rover_s = -inf  # where no base follows nothing is waited for
         return epochs
 
     def end_base(self) -> None:

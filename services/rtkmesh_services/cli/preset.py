@@ -22,9 +22,13 @@ def list_(*, as_json: Json = False, connect: Connect = DEFAULT_ENDPOINT, namespa
     Exit codes: 0 done, 1 failed, 3 not reachable, 124 no answer in time.
     """
     reply = _ask(connect, namespace, "list")
+    presets: list[dict[str, Any]] = reply.data.get("presets", [])
+    more = reply
+    while more.ok and "next" in more.data:
+        more = _ask(connect, namespace, "list", first=more.data["next"])
+        presets += more.data.get("presets", [])
     if as_json or not reply.ok:
         return _say(reply, as_json=as_json)
-    presets: list[dict[str, Any]] = reply.data["presets"]
     if not presets:
         sys.stdout.write("no presets: [preset.NAME] in the deployment file, `rtkmesh preset add`, or a receiver on a serial port\n")
         return EXIT_OK

@@ -13,9 +13,10 @@ from rtkmesh_services.runtime.service import accepted, done
 from rtkmesh_services.runtime.words import clip, nearest
 
 HELP: Final = (
-    "action=list|show|select|follow|new|update|delete|save [id=PRESET] [solver=SOLVER] [fields]: base stations; "
+    "action=list|show|select|follow|new|update|delete|save [id=PRESET] [solver=SOLVER] [fields] [first=0]: base stations; "
     "select without id: none; follow: what is selected for all counts for this solver too"
 )
+TOLD: Final = 60  # presets in one answer: it has to fit into a message
 _FLEET: Final = frozenset({"", "all", "*"})
 
 
@@ -80,10 +81,11 @@ class PresetDesk:
         }
 
     def _list(self, arguments: Mapping[str, Any]) -> Reply:
-        del arguments
-        presets = [preset for name in self._book.ids() if (preset := self._book.get(name)) is not None]
+        ids, first = self._book.ids(), _whole(arguments.get("first", 0))
+        presets = [preset for name in ids[first : first + TOLD] if (preset := self._book.get(name)) is not None]
         told = [self.describe(preset) for preset in presets]
-        return done(f"{len(told)} presets", selected=self._book.selected(), solvers=self._selections(), presets=told)
+        more = {"next": first + TOLD} if first + TOLD < len(ids) else {}
+        return done(f"{len(ids)} presets", selected=self._book.selected(), solvers=self._selections(), presets=told, **more)
 
     def _selections(self) -> dict[str, str | None]:
         return {solver: self._book.selected(solver) for solver in self._teller.solvers() if self._book.own(solver)}
@@ -140,6 +142,12 @@ class PresetDesk:
             return text
         hint = nearest(_name(arguments), self._book.ids()) or f"; there are {', '.join(self._book.ids()[:20]) or 'none'}"
         return f"{text} {clip(_name(arguments))!r}{hint}"
+
+
+def _whole(value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise CommandError(Code.BAD_ARGUMENTS, "first is the number of a preset, from 0 on")
+    return value
 
 
 def _name(arguments: Mapping[str, Any]) -> str:

@@ -56,6 +56,7 @@ class Bases:
         self._choices: dict[str, Choice] = {}
         self._heard: dict[str, Heard] = {}
         self._running: dict[str, str] = {}  # ingest id: preset
+        self._started: dict[str, Preset] = {}  # as the processes know them
         self._scores: dict[str, Score] = {}
         self._keys: dict[str, Handle] = {}
         self._orders = orders or BaseOrders(context, LANE)
@@ -75,6 +76,7 @@ class Bases:
     def reload(self, deployment: Deployment) -> None:
         """Take a file that was read again."""
         self._deployment = deployment
+        self._started.clear()
         self.book.replace_builtin(deployment.preset)
         self._choices.clear()
         self._choose_all()
@@ -154,8 +156,11 @@ class Bases:
             self._choices[solver].prefer(wanted, self._now_s())
 
     def _wanted(self) -> dict[str, Preset]:
-        """Return the presets that have to run, by the ids of their processes: wanted ones, used ones, those on standby."""
-        names = [name for choice in self._choices.values() for name in (*choice.wanted, choice.active or "")]
+        """Return the presets that have to run, by the ids of their processes: selected, wanted and used ones, those on standby.
+
+        What is selected for all runs without any solver too: others may take its frames.
+        """
+        names = [self.book.selected() or "", *(name for choice in self._choices.values() for name in (*choice.wanted, choice.active or ""))]
         names += [name for name in self.book.ids() if self._on_standby(name)]
         names += [self._running[used] for solver in self._choices if (used := self._used(solver)) in self._running]
         return {ingest_id(name): preset for name in dict.fromkeys(names) if (preset := self.book.get(name)) is not None}
@@ -176,10 +181,12 @@ class Bases:
         for process in [process for process in self._running if process not in wanted]:
             self._keeper.dismiss(process)
             self._heard.pop(process, None)
+            self._started.pop(process, None)
             self._scores.pop(self._running.pop(process), None)
         for process, preset in wanted.items():
-            self._running[process] = preset.id
-            self._keeper.adopt(base_spec(preset, self._deployment, self._options))
+            if self._started.get(process) != preset:
+                self._running[process], self._started[process] = preset.id, preset
+                self._keeper.adopt(base_spec(preset, self._deployment, self._options))
 
     def _direct(self, solver: str, now_s: float) -> None:
         """Ask a solver to use its base, where it uses another one."""
