@@ -67,7 +67,7 @@ class BasesTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     bauds: Annotated[tuple[Annotated[int, Meta(ge=300, le=4_000_000)], ...], Meta(min_length=1, max_length=8)] = (115200,)
     devices: Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=200)], ...], Meta(max_length=32)] = ()
     exclude: Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=200)], ...], Meta(max_length=100)] = ()
-    failover_after_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 5.0
+    failover_after_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 3.0
     return_after_s: Annotated[float, Meta(ge=1.0, le=86400.0)] = 60.0
     bad_score: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.2
     timeout_s: Annotated[float, Meta(ge=1.0, le=600.0)] = 15.0

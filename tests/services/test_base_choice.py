@@ -50,8 +50,8 @@ def test_a_good_base_has_the_full_score() -> None:
 @pytest.mark.parametrize(
     ("changed", "age_s", "part"),
     [
-        ({}, 8.0, "age"),
-        ({"epoch_age_s": 7.0}, 0.2, "age"),
+        ({}, 4.0, "age"),
+        ({"epoch_age_s": 4.0}, 0.2, "age"),
         ({"epochs_per_s": 0.2}, 0.2, "rate"),
         ({"satellites": {"G": 6}}, 0.2, "satellites"),
         ({"cn0_dbhz": {"1": SignalStrength(mean=30.0, minimum=20.0, count=9)}}, 0.2, "cn0"),

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.services.roles_in_one_process import Site, settle
 
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.scenario import SimulatedEpoch, open_stream, truth
@@ -19,7 +20,6 @@ from rtkmesh_services.ingest.service import IngestService
 from rtkmesh_services.runtime.clock import ManualClock
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
-from rtkmesh_services.runtime.service import Context
 from rtkmesh_services.solver.service import SolverService
 
 START = GpsTime(2400, 7200.0)
@@ -42,6 +42,7 @@ class World:
         self.network, self.clock = MemoryNetwork(), ManualClock(utc_ns=START_UTC_NS)
         self.asker = MemoryBus("asker", self.network)
         self.lives: dict[str, Lifecycle] = {}
+        self.buses: dict[str, MemoryBus] = {}
         self.streams = {
             name: open_stream("two_bases", antenna, seed=3, rate_hz=RATE_HZ, start=START).epochs() for name, antenna in ANTENNAS.items()
         }
@@ -55,18 +56,10 @@ class World:
         self.settle()
 
     def _begin(self, name: str, role: Role, make: type, deployment: Deployment) -> None:
-        bus = MemoryBus(name, self.network)
-        context = Context(id=name, role=role, deployment=deployment, bus=bus, clock=self.clock, config_folder=self.folder)
-        life = self.lives[name] = Lifecycle(make(context), warm_in_thread=False)
-        life.start()
-        life.step(0.0)
+        self.lives[name], self.buses[name] = Site(self.network, self.clock, self.folder).begin(name, role, make, deployment)
 
     def settle(self) -> None:
-        for _ in range(2):
-            for life in self.lives.values():
-                while life.context.inbox.depth():
-                    life.step(0.0)
-                life.step(0.0)
+        settle(self.lives.values())
 
     def play(self, epochs: int) -> None:
         for _ in range(epochs):
@@ -77,17 +70,11 @@ class World:
                     self.lives[name].context.inbox.put(Chunk(epoch.data, self.clock.mono_ns()), lane="source")
             self.settle()
 
-    @property
-    def bus(self) -> MemoryBus:
-        bus = self.lives["rtk"].context.bus
-        assert isinstance(bus, MemoryBus)
-        return bus
-
     def solutions(self) -> list[SolutionMessage]:
-        return [decode(SolutionMessage, sample.payload, sample.encoding) for sample in self.bus.sent(SOL)]
+        return [decode(SolutionMessage, sample.payload, sample.encoding) for sample in self.buses["rtk"].sent(SOL)]
 
     def events(self, code: str) -> list[Event]:
-        events = [decode(Event, sample.payload) for level in Level for sample in self.bus.sent(EVENT, level=level.value)]
+        events = [decode(Event, sample.payload) for level in Level for sample in self.buses["rtk"].sent(EVENT, level=level.value)]
         return [event for event in events if event.code == code]
 
     def status(self) -> ServiceStatus:
@@ -125,7 +112,7 @@ def test_another_base_costs_no_epoch_and_its_jump_is_told(tmp_path: Path) -> Non
     status = world.status()
     assert status.data["base"] == "other"
     assert [row.name for row in status.inputs] == ["rover", "other"]
-    assert not world.lives["base"].context.bus.matched(OBS)
+    assert not world.buses["base"].matched(OBS)
 
 
 def test_and_back_again(tmp_path: Path) -> None:

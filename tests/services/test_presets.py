@@ -10,6 +10,7 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from rtkmesh_schemas.config_presets import BasesTable, PresetTable
 from rtkmesh_schemas.presets import PresetType
+from rtkmesh_services.cli.check import url_errors
 from rtkmesh_services.control.preset_fields import PresetError
 from rtkmesh_services.control.preset_ports import find_ports, port_id
 from rtkmesh_services.control.presets import BACK_S, Change, PresetBook
@@ -238,3 +239,20 @@ def test_faults_of_the_file_are_named_with_their_line(text: str, expected: str) 
 def test_a_solver_needs_no_base_where_there_are_presets() -> None:
     text = '[preset.a]\nsources = ["tcp://a:1"]\n[ingest.r]\nsource = "tcp://r:1"\n[solver.s]\nrover = "r"\npresets = ["a"]'
     assert parse_deployment(text, "site.toml").solver["s"].presets == ("a",)
+
+
+@pytest.mark.parametrize(
+    ("lines", "line", "text"),
+    [
+        ('sources = ["tcp://a:1", "ntrip://a:1"]', 2, "says no mount point"),
+        ('sources = ["serial:///dev/ttyACM0?bawd=1"]', 2, "did you mean 'baud'"),
+        ('sources = ["sim://two_bases/base3"]', 2, "base2"),
+        ('sources = ["tcp://a:1"]\nantenna = "NONSENSE"', 3, "NONSENSE"),
+    ],
+)
+def test_check_looks_at_the_sources_of_presets(tmp_path: Path, lines: str, line: int, text: str) -> None:
+    file = tmp_path / "site.toml"
+    file.write_text(f"[preset.a]\n{lines}\n")
+    [error] = url_errors(file, parse_deployment(file.read_text(), str(file)), simulations=True)
+    assert error.line == line
+    assert text in str(error)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.services.roles_in_one_process import Site, settle
 
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.scenario import SimulatedEpoch, open_stream, truth
@@ -84,20 +85,12 @@ class World:
         self.settle()
 
     def begin(self, name: str) -> None:
-        role, make = ROLES[name]
-        bus = self.buses[name] = MemoryBus(name, self.network)
-        context = Context(id=name, role=role, deployment=self.deployment, bus=bus, clock=self.clock, config_folder=self.folder)
-        life = self.lives[name] = Lifecycle(make(context), warm_in_thread=False)
-        life.start()
-        life.step(0.0)
+        site = Site(self.network, self.clock, self.folder)
+        self.lives[name], self.buses[name] = site.begin(name, *ROLES[name], self.deployment)
 
     def settle(self) -> None:
         """Step all until nothing waits."""
-        for _ in range(2):
-            for life in self.lives.values():
-                while life.context.inbox.depth():
-                    life.step(0.0)
-                life.step(0.0)
+        settle(self.lives.values())
 
     def play(self, epochs: int, *, damage: bytes = b"") -> None:
         """Let each receiver send its next epochs; ``damage`` is what the wire adds between them."""

@@ -82,6 +82,10 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
         for key in ("position_ecef_m", "position_llh_deg"):
             if getattr(source, key) is not None:
                 examine(("ingest", id, key), partial(_look_at_position, source.source))
+    for name, preset in deployment.preset.items():
+        for url in preset.sources:
+            examine(("preset", name, "sources"), partial(_look_at_source, url, simulations))
+        examine(("preset", name, "antenna"), partial(_look_at_antenna, preset.antenna, None))
     for id, solver in deployment.solver.items():  # noqa: A001
         antex, before = file.parent / deployment.deployment.config_folder / solver.antex if solver.antex else None, len(errors)
         examine(("solver", id, "antex"), partial(_look_at_antenna, "", antex))

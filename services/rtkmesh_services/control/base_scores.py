@@ -8,7 +8,7 @@ from typing import Any, Final
 from rtkmesh_schemas.status import InputStatus, ServiceStatus, State, StreamStatus
 
 _FRESH_S: Final = 2.0  # an epoch that is not older is as good as new
-_USELESS_S: Final = 10.0
+_USELESS_S: Final = 6.0
 _FULL_RATE_HZ: Final = 0.95
 _ENOUGH_SATELLITES: Final = 12
 _TOO_FEW_SATELLITES: Final = 4

@@ -21,6 +21,7 @@ from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.preset_ports import FoundPort, find_ports
 from rtkmesh_services.control.presets import Change, PresetBook
+from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.runtime.bus import Handle
 from rtkmesh_services.runtime.service import Context
 from rtkmesh_services.runtime.state_files import state_folder
@@ -113,15 +114,14 @@ class Bases:
 
     def state_of(self, preset: Preset) -> dict[str, Any]:
         """Return state, score and users of a preset as plain values."""
-        process, heard = ingest_id(preset.id), self._heard.get(ingest_id(preset.id))
-        runs = process in self._running
-        row = next((row for row in self._keeper.rows() if row["id"] == process), None) if runs else None
+        process = ingest_id(preset.id)
+        state, reason = self._process_state(process)
         return {
             "selected": preset.id == self.book.selected(),
             "solvers": [solver for solver, choice in self._choices.items() if choice.active == preset.id],
             "used_by": [solver for solver in self._choices if self._used(solver) == process],
-            "state": heard.status.state.value if heard is not None and runs else row["state"] if row is not None else "",
-            "reason": heard.status.reason if heard is not None and runs else "",
+            "state": state,
+            "reason": reason,
             **self._scores.get(preset.id, NOTHING).words(),
         }
 
@@ -137,6 +137,16 @@ class Bases:
     def close(self) -> None:
         """Ask nobody any more."""
         self._orders.close()
+
+    def _process_state(self, process: str) -> tuple[str, str]:
+        """Return state and reason of a preset's process: what it says itself while it runs, nothing where it is not to run."""
+        heard = self._heard.get(process)
+        row = next((row for row in self._keeper.rows() if row["id"] == process), None) if process in self._running else None
+        if row is None:
+            return "", ""
+        if heard is None or row["state"] != ProcessState.RUNNING:
+            return row["state"], row["reason"]
+        return heard.status.state.value, heard.status.reason
 
     # -- what is wanted
 
