@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from tests.services.conftest import unused_port
+from tests.services.roles_in_one_process import Site
 from tests.services.simulated_receiver import acknowledgement
 
 from rtkmesh.codecs.framing import Framer
@@ -139,11 +140,7 @@ class World:
         return [self.lives[name] for name in (BASE_A, BASE_B)]
 
     def _begun(self, name: str, role: Role, make: Callable[[Context], Any]) -> Lifecycle:
-        context = Context(id=name, role=role, deployment=self.deployment, bus=MemoryBus(name, self.network), clock=self.clock)
-        life = Lifecycle(make(context), warm_in_thread=False)
-        life.start()
-        life.step(0.0)
-        return life
+        return Site(self.network, self.clock).begin(name, role, make, self.deployment)[0]
 
     def _wait(self) -> None:
         """Let an asked service work: in this thread by steps, in others by waiting for this one."""

@@ -2,8 +2,7 @@
 
 import json
 import socket
-from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +29,6 @@ from rtkmesh_services.runtime.state_files import STATE_VARIABLE
 S = 1_000_000_000
 VERSION = {"$fw.version": "1.0"}
 FIXED = {"position": [4268987123, 1178894456, 4574798789], "accuracy": 0.02}
-
-
-@pytest.fixture
-def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
-    monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
-    with closing(World(tmp_path)) as world:
-        yield world
-
-
-@pytest.fixture
-def client(world: World) -> Iterator[SkybrushClient]:
-    with closing(SkybrushClient(world)) as client:
-        yield client
 
 
 def frame(number: int, size: int) -> bytes:

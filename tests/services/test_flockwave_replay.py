@@ -6,8 +6,6 @@ by ``AGE_MS``.
 """
 
 import json
-from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,6 @@ import pytest
 from tests.services.flockwave_world import BASE_A, BASE_B, SkybrushClient, World
 
 from rtkmesh_schemas.flockwave import ANSWERS, Message, request_of
-from rtkmesh_services.runtime.state_files import STATE_VARIABLE
 
 LOGS = ("skybrush_tcp_1.log", "skybrush_tcp_2.log")
 AGE_MS = 15
@@ -108,19 +105,6 @@ def pairs(path: Path) -> list[Pair]:
             else:
                 found[-1].notifications.append(message)
     return found
-
-
-@pytest.fixture
-def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
-    monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
-    with closing(World(tmp_path)) as world:
-        yield world
-
-
-@pytest.fixture
-def client(world: World) -> Iterator[SkybrushClient]:
-    with closing(SkybrushClient(world)) as client:
-        yield client
 
 
 def said_again(log: str, recorded: list[Pair], world: World, client: SkybrushClient) -> dict[int, dict[str, Any] | None]:
