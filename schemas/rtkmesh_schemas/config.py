@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from rtkmesh_schemas.config_base import NotNegative, Positive, Systems, Table
+from rtkmesh_schemas.config_flockwave import FlockwaveTable
 from rtkmesh_schemas.config_output import OutputTable
 from rtkmesh_schemas.config_presets import BasesTable, FilterTable, PresetNames, PresetTable
 from rtkmesh_schemas.config_rules import RuleTable
@@ -281,6 +282,7 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     deployment: DeploymentTable = DeploymentTable()
     hub: HubTable = HubTable()
     control: ControlTable = ControlTable()
+    flockwave: FlockwaveTable = FlockwaveTable()
     ingest: dict[str, IngestTable] = {}
     solver: dict[str, SolverTable] = {}
     attitude: dict[str, AttitudeTable] = {}

@@ -12,17 +12,18 @@ from rtkmesh_services.control.fleet import LaunchOptions, ProcessSpec, spec_for
 from rtkmesh_services.runtime.extra_ingest import ingest_environment
 
 _OBSERVATIONS: Final = {"auto": "auto", "rtcm2": "auto", "rtcm3": "rtcm3", "ubx": "ubx"}
+_SURVEY_FORMATS: Final = ("auto", "ubx")
 _SURVEYED: Final = ("serial", "tcp", "tcp-listen")
 
 
 def ingest_table(preset: Preset, bases: BasesTable) -> IngestTable:
     """Return the table of the ingest that reads a preset's stream.
 
-    With ``auto_survey`` its receiver is asked for its position, unless that is known.
+    With ``auto_survey`` its receiver is asked for its position, unless that is known; without it only when somebody asks for a survey.
     """
     table = preset.table
     known = table.position_ecef_m is not None or table.position_llh_deg is not None
-    survey = table.auto_survey and not known and preset.sources[0].partition("://")[0] in _SURVEYED
+    takes_orders = preset.format in _SURVEY_FORMATS and not known and preset.sources[0].partition("://")[0] in _SURVEYED
     return msgspec.convert(
         {
             "source": preset.sources[0],
@@ -32,7 +33,7 @@ def ingest_table(preset: Preset, bases: BasesTable) -> IngestTable:
             "observations": _OBSERVATIONS[preset.format],
             "filter": table.filter,
             "commands": CommandsTable(start=table.init),
-            "base_station": survey_of(preset, bases) if survey else None,
+            "base_station": survey_of(preset, bases) if takes_orders else None,
         },
         IngestTable,
     )
@@ -41,7 +42,7 @@ def ingest_table(preset: Preset, bases: BasesTable) -> IngestTable:
 def survey_of(preset: Preset, bases: BasesTable) -> BaseStationTable:
     """Return how the receiver of a preset is asked for its position; one whose language nobody speaks is averaged."""
     receiver = preset.table.receiver
-    mode = "average" if receiver == "other" else "survey-in"
+    mode = "watch" if not preset.auto_survey else "average" if receiver == "other" else "survey-in"
     return BaseStationTable(mode=mode, receiver=receiver, minimum_s=bases.survey_s, accuracy_m=bases.survey_accuracy_m)
 
 

@@ -18,6 +18,7 @@ from rtkmesh_services.control.bases import LANE as BASES_LANE
 from rtkmesh_services.control.bases import Bases
 from rtkmesh_services.control.examination import examine
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
+from rtkmesh_services.control.flockwave.service import Flockwave
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.supervisor import ProcessState
@@ -28,6 +29,8 @@ from rtkmesh_services.runtime.service import Context, Report, Service, accepted,
 
 ALL: Final = frozenset({"all", "*"})
 _DEFAULT_LINES: Final = 50
+_LASTING: Final = ("deployment", "hub", "control", "flockwave")
+_LASTING_TEXT: Final = "[deployment], [hub], [control] and [flockwave]"
 _LEVELS: Final = {ProcessState.FAILED: Level.ERROR, ProcessState.WAITING: Level.WARNING}
 
 
@@ -48,9 +51,10 @@ class ControlService(Service):
         super().__init__(context)
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
-        self._automation = Automation(context)
         self._bases = Bases(context, keeper, options)
         self._presets = PresetDesk(self._bases.book, self._bases)
+        self._flockwave = Flockwave(context, self._bases.book)
+        self._automation = Automation(context)
 
     def open(self) -> None:
         """Listen to the heartbeats of all, and to what rules watch."""
@@ -58,14 +62,15 @@ class ControlService(Service):
         self._apply_rules()
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
         self._bases.open(declare_with(self.context, BASES_LANE))
+        self._flockwave.open()
 
     def handle(self, item: Any) -> None:
-        """Take a status: the heartbeat of a work loop; or a message that a rule watches, or what concerns base stations."""
-        if isinstance(item, RuleSample | Liveliness):
-            self._automation.take(item, self._now_s())
+        """Take a status, the heartbeat of a work loop; what concerns base stations or Flockwave; a message that a rule watches."""
         if isinstance(item, PresetQuestion):
             answer(self._presets, item, self.context)
-        if self._bases.took(item) or not isinstance(item, Sample):
+        if isinstance(item, RuleSample | Liveliness):
+            self._automation.take(item, self._now_s())
+        if self._bases.took(item) or self._flockwave.handle(item) or not isinstance(item, Sample):
             return
         try:
             status = decode(ServiceStatus, item.payload, item.encoding)
@@ -74,16 +79,19 @@ class ControlService(Service):
             return
         self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
         self._bases.heard(status, item.received_mono_ns * 1e-9)
+        self._flockwave.status(status, item.received_mono_ns)
 
     def tick(self, now_mono_ns: int) -> None:
-        """Let time act on the rules; bring the base stations to what is wanted."""
-        self._automation.tick(now_mono_ns * 1e-9)
+        """Bring the base stations to what is wanted; let time act on the rules."""
         self._bases.tick(now_mono_ns * 1e-9)
+        self._flockwave.tick(now_mono_ns)
+        self._automation.tick(now_mono_ns * 1e-9)
 
     def close(self) -> None:
-        """Let the rules go, ask no solver any more."""
-        self._automation.close()
+        """Ask no solver any more, let the rules go, stop listening."""
         self._bases.close()
+        self._flockwave.close()
+        self._automation.close()
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
@@ -119,6 +127,7 @@ class ControlService(Service):
             "failed": len(failed),
             "restarts": sum(row["restarts"] for row in rows),
             "listener_errors": self._keeper.listener_errors,
+            **self._flockwave.counters(),
         }
         state = State.DEGRADED if failed else State.RUNNING
         data = {"processes": rows, "rules": self._automation.report(), **self._bases.data()}
@@ -136,12 +145,8 @@ class ControlService(Service):
             deployment = load_deployment(self._options.file, self._options.data_folder, self._options.speed)
         except ConfigError as error:
             return refused(Code.BAD_ARGUMENTS, f"nothing is changed: {error}")
-        if (deployment.deployment, deployment.hub, deployment.control) != (
-            self._deployment.deployment,
-            self._deployment.hub,
-            self._deployment.control,
-        ):
-            return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
+        if any(getattr(deployment, name) != getattr(self._deployment, name) for name in _LASTING):
+            return refused(Code.NOT_ALLOWED, f"nothing is changed: {_LASTING_TEXT} need a new `rtkmesh up`")
         if deployment != self._deployment and (faults := examine(self._options.file, self._options.data_folder)):
             return refused(Code.BAD_ARGUMENTS, f"nothing is changed: {faults}")
         self._deployment = deployment

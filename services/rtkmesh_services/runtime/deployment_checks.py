@@ -9,6 +9,7 @@ from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.config import Deployment, IngestTable, SolverTable
 from rtkmesh_schemas.errors import BadKeyError
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
+from rtkmesh_services.runtime.addresses import address_of, is_loopback
 from rtkmesh_services.runtime.file_faults import Faults
 from rtkmesh_services.runtime.output_checks import check_output_table, check_ports
 from rtkmesh_services.runtime.preset_checks import check_presets
@@ -43,6 +44,7 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
     for id in deployment.output:  # noqa: A001
         _check_output(reader, id, deployment)
     _check_lists(reader, deployment)
+    _check_flockwave(reader, deployment)
     check_presets(reader, deployment)
     _check_rules(reader, deployment)
     for index, address in enumerate(deployment.hub.listen):
@@ -51,6 +53,20 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
                 ("hub", "listen", str(index)),
                 f"[hub] listen: {address!r} is no loopback address; others could command your receivers: say insecure = true to allow it",
             )
+
+
+def _check_flockwave(reader: Faults, deployment: Deployment) -> None:
+    """Gather addresses that are none, and those that others reach though nobody said so."""
+    for name in ("tcp", "udp"):
+        text: str = getattr(deployment.flockwave, name)
+        try:
+            host = address_of(text)[0] if text else "localhost"
+        except ValueError as error:
+            reader.fault(("flockwave", name), f"[flockwave] {name}: {clip(text)!r} {error}")
+            continue
+        if not deployment.flockwave.insecure and not is_loopback(host):
+            why = "is no loopback address; others could command your bases: say insecure = true to allow it"
+            reader.fault(("flockwave", name), f"[flockwave] {name}: {clip(text)!r} {why}")
 
 
 def _check_options(reader: Faults, id: str, text: str) -> None:  # noqa: A002
