@@ -153,3 +153,15 @@ def site(tmp_path: Path, hub_port: int) -> Iterator[Fleet]:
 def free_port() -> Callable[[], int]:
     """A function that returns a loopback port that nobody listens on."""
     return unused_port
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of a quarter of a megabyte."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "rtkmesh-test", str(folder)], capture_output=True, check=False)
+    if mounted.returncode:
+        pytest.skip(f"cannot mount a tmpfs: {mounted.stderr.decode().strip()}")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)

@@ -231,7 +231,8 @@ class SolverService(Service):
         self._sequence += 1
         context.bus.publish(SOL, message)
         self._texts.publish(context.bus, solution, message)
-        if now_ns - self._satellites_ns >= SATELLITES_PERIOD_NS and context.bus.matched(SAT):
+        due = self._followers.wants_satellites or now_ns - self._satellites_ns >= SATELLITES_PERIOD_NS
+        if due and context.bus.matched(SAT):
             self._satellites_ns = now_ns
             context.bus.publish(SAT, satellites_message(solution, context.id))
 
