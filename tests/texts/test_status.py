@@ -84,8 +84,9 @@ def test_level_of_states_has_no_satellites() -> None:
 
 
 def test_a_message_of_satellites_is_written_once_with_its_time() -> None:
-    """Satellites come slower than solutions."""
+    """Satellites may come slower than solutions; those of a later epoch wait for it."""
     writer = TextWriter(STAT)
+    assert "$SAT" not in writer.text(msgspec.structs.replace(SOLUTION, tow_s=475218.8), SKY)
     first, second = (writer.text(msgspec.structs.replace(SOLUTION, tow_s=tow_s), SKY) for tow_s in (475219.2, 475219.4))
     assert first.count("$SAT,2149,475219.000,") == 3
     assert "$SAT" not in second

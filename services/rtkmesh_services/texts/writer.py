@@ -34,7 +34,8 @@ class TextWriter:
     def epoch(self, solution: SolutionMessage, satellites: SatellitesMessage | None = None) -> bytes:
         """Return what RTKLIB prints of an epoch; nothing where it prints nothing.
 
-        ``satellites`` are the newest there are. Sentences take them as they are; status records write each message once, with its own time.
+        ``satellites`` are the newest there are. Sentences take them as they are; status records write each message once, with its own time,
+        and none of a later epoch.
         """
         return self.text(solution, satellites).encode("ascii", "replace")
 
@@ -43,7 +44,7 @@ class TextWriter:
         if self.options.format == "nmea":
             return self._sentences(solution, satellites)
         if self.options.format == "stat":
-            return status(solution, self._fresh(satellites), self.options)
+            return status(solution, self._fresh(solution, satellites), self.options)
         text = line(solution, self.options)
         return text + self._end if text else ""
 
@@ -65,11 +66,14 @@ class TextWriter:
         dilutions = Dops() if fix.is_rtklibs else dops([one for one in satellites_of(satellites) if one.used])
         return rmc(fix, self._course) + gga(fix, dilutions) + ("" if fix.is_old else gst(fix))
 
-    def _fresh(self, satellites: SatellitesMessage | None) -> SatellitesMessage | None:
-        """Return satellites that were not written yet."""
-        if satellites is None or (satellites.week, satellites.tow_s) == self._satellites_at:
+    def _fresh(self, solution: SolutionMessage, satellites: SatellitesMessage | None) -> SatellitesMessage | None:
+        """Return satellites that were not written yet and are not of a later epoch."""
+        if satellites is None:
             return None
-        self._satellites_at = satellites.week, satellites.tow_s
+        time = satellites.week, satellites.tow_s
+        if time == self._satellites_at or time > (solution.week, solution.tow_s):
+            return None
+        self._satellites_at = time
         return satellites
 
     def _is_due(self, solution: SolutionMessage, interval_s: float) -> bool:
