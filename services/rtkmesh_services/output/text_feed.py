@@ -106,13 +106,19 @@ class TextFeed:
     def _ready(self, now_ns: int) -> Iterator[bytes]:
         while self._held:
             since_ns, solution = self._held[0]
-            seen = [one for one in self._satellites if (one.week, one.tow_s) >= (solution.week, solution.tow_s)]
+            seen = any((one.week, one.tow_s) >= (solution.week, solution.tow_s) for one in self._satellites)
             if not seen and now_ns - since_ns < HOLD_NS and self._is_worth_waiting():
                 return
             self._held.popleft()
-            newest = self._satellites[-1] if self._satellites else None
-            if text := self._writer.epoch(solution, seen[0] if seen else newest):
+            if text := self._writer.epoch(solution, self._satellites_of(solution)):
                 yield text
+
+    def _satellites_of(self, solution: SolutionMessage) -> SatellitesMessage | None:
+        """Return the satellites of an epoch; for sentences the newest where there are none."""
+        own = next((one for one in self._satellites if (one.week, one.tow_s) == (solution.week, solution.tow_s)), None)
+        if own is not None or self._table.format == "stat" or not self._satellites:
+            return own
+        return self._satellites[-1]
 
     def _is_worth_waiting(self) -> bool:
         """Whether satellites come with every epoch; a solver that began before this output was there sends them once a second.
