@@ -136,9 +136,9 @@ def test_bases_are_switched_for_all_and_for_one_and_fail_over_without_losing_an_
     assert (rows["near"]["selected"], rows["far"]["selected"]) == (False, True)
     assert 3.0e3 < rows["far"]["distance_m"] + rows["near"]["distance_m"] < 1.0e4
 
+    before = second[-1].start_id
     assert deployment.ask("control", "restart", id="second").ok  # a solver that begins anew is told its base again
-    deployment.until(lambda: second and second[-1].base == "")
-    deployment.until(uses(second, "base_near"))
+    deployment.until(lambda: second[-1].start_id != before and uses(second, "base_near")())
 
     assert deployment.ask("control", "stop", id="caster_far").ok
     deployment.until(uses(first, "base_near"), 60.0)

@@ -132,6 +132,19 @@ def test_a_base_that_was_just_selected_has_the_time_out_to_deliver() -> None:
     assert play(made, {"a": 0.0, "b": 0.9}, 14.5, 20.0) == [15.0]
 
 
+def test_a_process_that_still_starts_has_its_time_from_its_first_status_on() -> None:
+    made = choice("a", "b")
+    made.prefer("a", 0.0, starting=True)
+    assert play(made, {"b": 0.9}, 0.0, 25.0) == []
+    made.started("b", 20.0)  # that of another one
+    made.started("a", 25.0)
+    assert play(made, {"b": 0.9}, 25.0, 39.5) == []
+    assert play(made, {"b": 0.9}, 39.5, 45.0) == [40.0]
+    made.prefer("a", 50.0, starting=True)
+    assert play(made, {"b": 0.9}, 50.0, 94.5) == []  # one that never says anything is left as well
+    assert play(made, {"b": 0.9}, 94.5, 100.0) == [95.0]
+
+
 def test_when_all_are_bad_the_present_one_stays_and_all_are_tried() -> None:
     made = choice("a", "b")
     assert play(made, {}, 0.0, 100.0) == []

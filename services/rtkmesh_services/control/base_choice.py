@@ -6,6 +6,7 @@ from typing import Final
 
 from rtkmesh_schemas.config_presets import BasesTable
 
+_STARTING_S: Final = 30.0  # a process that has said nothing yet has so much more time
 _BETTER: Final = 0.2  # a score that makes a base good is so much above the one that makes it bad
 
 
@@ -26,14 +27,19 @@ class Choice:
         """The presets that have to run: all of the list while the chosen one is not what it should be."""
         return self.order if self.trying else self.order[:1]
 
-    def prefer(self, name: str | None, now_s: float) -> None:
-        """Take another one: it has the time-out of the file to deliver."""
+    def prefer(self, name: str | None, now_s: float, *, starting: bool = False) -> None:
+        """Take another one: it has the time-out of the file to deliver, from its first status on if its process is ``starting``."""
         self.order = () if name is None else tuple(dict.fromkeys((name, *self.names)))
         self.active, self.trying = name, False
         self._bad_since_s.clear()
         self._good_since_s.clear()
         if name is not None:
-            self._bad_since_s[name] = now_s + max(0.0, self.limits.timeout_s - self.limits.failover_after_s)
+            self._give_time(name, now_s + (_STARTING_S if starting else 0.0))
+
+    def started(self, name: str, now_s: float) -> None:
+        """The process of a preset has said its first status."""
+        if name == self.active and name in self._bad_since_s:
+            self._give_time(name, now_s)
 
     def update(self, scores: Mapping[str, float], now_s: float) -> str:
         """Take the scores of this moment; return why another one is active now, or nothing."""
@@ -52,6 +58,9 @@ class Choice:
         return (
             "" if other is None else self._take(other, f"in place of {self.active}, silent or bad for {self.limits.failover_after_s:g} s")
         )
+
+    def _give_time(self, name: str, now_s: float) -> None:
+        self._bad_since_s[name] = now_s + max(0.0, self.limits.timeout_s - self.limits.failover_after_s)
 
     def _take(self, name: str, why: str) -> str:
         self.active = name

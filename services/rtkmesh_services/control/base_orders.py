@@ -33,6 +33,7 @@ class _Order:
     at_s: float
     open: bool = True  # not answered yet
     refused: bool = False
+    early: bool = False  # it was no time for it
 
 
 class BaseOrders:
@@ -50,7 +51,7 @@ class BaseOrders:
         new = order is None or order.base != base or order.start_id != status.start_id
         if not new and order is not None:
             listening = status.data.get("next_base") == base
-            if order.open or listening or now_s - order.at_s < AGAIN_S or order.refused or not again:
+            if order.open or listening or now_s - order.at_s < AGAIN_S or order.refused or not (again or order.early):
                 return
         self._orders[solver] = _Order(base, status.start_id, now_s)
         self._send(solver, arguments)
@@ -62,10 +63,10 @@ class BaseOrders:
         order = self._orders.get(item.solver)
         if order is None or order.base != item.base:
             return True
-        order.open, order.at_s = False, now_s
+        order.open, order.at_s, order.early = False, now_s, item.reply.code is Code.WRONG_STATE
         if item.reply.code in _GONE:
             del self._orders[item.solver]
-        elif not item.reply.ok:
+        elif item.reply.code is not Code.WRONG_STATE and not item.reply.ok:  # a wrong state passes
             order.refused = True
             text = f"{item.solver} does not take base {item.base}: {item.reply.message}"
             self._context.event(Level.ERROR, "base_refused", text, solver=item.solver, base=item.base)

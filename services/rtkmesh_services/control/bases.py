@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from rtkmesh_schemas.config import Deployment, SolverTable
 from rtkmesh_schemas.presets import Preset, ingest_id
-from rtkmesh_schemas.status import Level, ServiceStatus
+from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_services.control.base_choice import Choice
 from rtkmesh_services.control.base_ingests import base_spec
 from rtkmesh_services.control.base_orders import BaseOrders
@@ -29,6 +29,7 @@ from rtkmesh_services.runtime.state_files import state_folder
 LOOK_S: Final = 0.2
 PORTS_S: Final = 1.0
 LANE: Final = "bases"
+_NOT_YET: Final = (State.STARTING, State.WARMING)
 _WITHOUT_STATION: Final = ("single", "moving-base")
 
 
@@ -85,6 +86,9 @@ class Bases:
     def heard(self, status: ServiceStatus, now_s: float) -> None:
         """Take a status of any process."""
         if status.id in self._running or status.id in self._choices:
+            if status.id in self._running and status.id not in self._heard:
+                for choice in self._choices.values():
+                    choice.started(self._running[status.id], now_s)
             self._heard[status.id] = Heard(status, now_s)
 
     def took(self, item: Any) -> bool:
@@ -163,7 +167,8 @@ class Bases:
         if wanted is None and names and not self.book.own(solver) and not self.book.chosen:
             wanted = names[0]
         if wanted != next(iter(self._choices[solver].order), None):
-            self._choices[solver].prefer(wanted, self._now_s())
+            starting = wanted is not None and ingest_id(wanted) not in self._heard
+            self._choices[solver].prefer(wanted, self._now_s(), starting=starting)
 
     def _wanted(self) -> dict[str, Preset]:
         """Return the presets that have to run, by the ids of their processes: selected, wanted and used ones, those on standby.
@@ -203,7 +208,7 @@ class Bases:
         heard, active = self._heard.get(solver), self._choices[solver].active
         table: SolverTable = self._deployment.solver[solver]
         wanted = table.base if active is None else ingest_id(active)
-        if heard is None or str(heard.status.data.get("base", "")) == wanted:
+        if heard is None or heard.status.state in _NOT_YET or str(heard.status.data.get("base", "")) == wanted:
             return
         preset = None if active is None else self.book.get(active)
         antenna = preset.table.antenna if preset is not None else ""

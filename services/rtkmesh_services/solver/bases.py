@@ -164,9 +164,9 @@ class BaseChanger:
 
     def _check(self, name: str, table: SolverTable) -> None:
         if table.mode == "single":
-            raise CommandError(Code.WRONG_STATE, "mode single has no base")
+            raise CommandError(Code.NOT_ALLOWED, "mode single has no base")
         if self._session.options.pairing.replay or ingest_of(self._context, name).replay:
-            raise CommandError(Code.WRONG_STATE, "recordings are paired by their own clock: a base is changed among live ones")
+            raise CommandError(Code.NOT_ALLOWED, "recordings are paired by their own clock: a base is changed among live ones")
         if name == table.rover:
             raise CommandError(Code.BAD_ARGUMENTS, f"{name} is the rover")
         try:
