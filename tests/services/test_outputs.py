@@ -110,6 +110,23 @@ def test_an_epoch_waits_for_its_satellites_and_no_longer() -> None:
     assert len(list(feed.rest())) == 1
 
 
+def test_sentences_do_not_wait_for_satellites_that_come_once_a_second() -> None:
+    """A solver that began before the output was there: after three epochs the newest satellites do."""
+    feed = TextFeed(table("stdout://", format="nmea"), SolverTable(rover="a", base="b"))
+    at_once = 0
+    for number in range(40):
+        texts = list(feed.solution(solution(number), 2 * HOLD_NS * number))
+        at_once += len(texts) == 1
+        if number % 5 == 0:
+            list(feed.satellites(satellites(number), 2 * HOLD_NS * number + 1))
+    assert at_once >= 33
+    assert b"GSV" in texts[0]
+    for number in range(40, 50):
+        list(feed.solution(solution(number), 2 * HOLD_NS * number))
+        texts = list(feed.satellites(satellites(number), 2 * HOLD_NS * number + 1))
+    assert len(texts) == 1
+
+
 def test_only_outputs_that_write_satellites_listen_to_them(tmp_path: Path) -> None:
     for format_, expected in (("llh", False), ("nmea", True), ("stat", False)):
         with TextWorld(out=table(f"file://{tmp_path}/{format_}", format=format_)) as world:

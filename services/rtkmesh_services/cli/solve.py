@@ -276,27 +276,29 @@ def _output(request: Request) -> AbstractContextManager[TextIO | None]:
 
 def _write(run: "Run", results: "Iterator[Solution]", request: Request, output: TextIO | None) -> None:
     """Write the header before the first solution, then a line per solution as it comes."""
-    from rtkmesh.codecs.pos import Coordinates, PosFormat, TimeForm, pos_header, pos_line
+    from rtkmesh_services.mapping.solution import solution_message
+    from rtkmesh_services.texts import TextAbout, TextOptions, TextWriter
 
-    form = PosFormat(Coordinates(request.coordinates or "llh"), TimeForm(request.time_form or "calendar"))
+    time_form = "tow" if request.time_form == "tow" else "hms"
+    writer = TextWriter(TextOptions(format=request.coordinates or "llh", time_form=time_form, line_end="lf"))
     headed = False
     for solution in results:
         if output is None:
             continue
         if not headed:
-            output.write(pos_header(form, f"rtkmesh {__version__}", _notes(run, solution)))
+            output.write(writer.header(TextAbout(f"rtkmesh {__version__}", _notes(run, solution))).decode())
             headed = True
-        output.write(pos_line(solution, form))
+        output.write(writer.text(solution_message(solution, source="", start_id="", sequence=0)))
 
 
 def _notes(run: "Run", first: "Solution") -> list[tuple[str, str]]:
     """Return the notes of the .pos header, in RTKLIB's words."""
-    from rtkmesh.codecs.pos import position_note, time_note
+    from rtkmesh_services.texts.header import position_note, time_note
 
     options = run.options.rtk
     notes = [("inp file", str(recording.path)) for recording in run.inputs.all()]
     notes += [
-        ("obs start", time_note(first.time)),
+        ("obs start", time_note(first.time.week, first.time.tow_s)),
         ("pos mode", options.mode.value),
         ("freqs", str(options.frequencies)),
         *([] if options.mode.value == "single" else [("solution", run.kind.value)]),

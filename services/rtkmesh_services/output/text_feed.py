@@ -16,6 +16,7 @@ from rtkmesh_schemas.wire import encode_json
 from rtkmesh_services.texts import TextAbout, TextOptions, TextWriter
 
 HOLD_NS: Final = 100_000_000  # how long an epoch waits for its satellites
+OUT_OF_STEP: Final = 3  # epochs without satellites after which sentences wait for them no more
 SINGLE: Final = 5  # RTKLIB's Q
 PROGRAM: Final = "rtkmesh"
 _NAMES: Final = {
@@ -70,10 +71,12 @@ class TextFeed:
         self._decimator = Decimator(table.interval_s)
         self._held: deque[tuple[int, SolutionMessage]] = deque()  # since when, and what waits for its satellites
         self._satellites: deque[SatellitesMessage] = deque(maxlen=8)
+        self._gap = self._since = 0  # solutions between the last two satellites, and after them
         self.header = self._writer.header(about(solver))
 
     def solution(self, solution: SolutionMessage, now_ns: int) -> Iterator[bytes]:
         """Yield the texts that are ready after a solution has come."""
+        self._since += 1
         if self._is_wanted(solution):
             self._held.append((now_ns, self._shown(solution)))
         yield from self._ready(now_ns)
@@ -81,6 +84,7 @@ class TextFeed:
     def satellites(self, satellites: SatellitesMessage, now_ns: int) -> Iterator[bytes]:
         """Yield the texts that are ready after satellites have come."""
         self._satellites.append(satellites)
+        self._gap, self._since = self._since, 0
         yield from self._ready(now_ns)
 
     def overdue(self, now_ns: int) -> Iterator[bytes]:
@@ -102,13 +106,27 @@ class TextFeed:
     def _ready(self, now_ns: int) -> Iterator[bytes]:
         while self._held:
             since_ns, solution = self._held[0]
-            satellites = next((one for one in self._satellites if (one.week, one.tow_s) == (solution.week, solution.tow_s)), None)
-            passed = any((one.week, one.tow_s) > (solution.week, solution.tow_s) for one in self._satellites)
-            if satellites is None and not passed and self._table.takes_satellites and now_ns - since_ns < HOLD_NS:
+            seen = any((one.week, one.tow_s) >= (solution.week, solution.tow_s) for one in self._satellites)
+            if not seen and now_ns - since_ns < HOLD_NS and self._is_worth_waiting():
                 return
             self._held.popleft()
-            if text := self._writer.epoch(solution, satellites):
+            if text := self._writer.epoch(solution, self._satellites_of(solution)):
                 yield text
+
+    def _satellites_of(self, solution: SolutionMessage) -> SatellitesMessage | None:
+        """Return the satellites of an epoch; for sentences the newest where there are none."""
+        own = next((one for one in self._satellites if (one.week, one.tow_s) == (solution.week, solution.tow_s)), None)
+        if own is not None or self._table.format == "stat" or not self._satellites:
+            return own
+        return self._satellites[-1]
+
+    def _is_worth_waiting(self) -> bool:
+        """Whether satellites come with every epoch; a solver that began before this output was there sends them once a second.
+
+        Records are only of their own epoch, sentences take the newest satellites, and come at once.
+        """
+        in_step = max(self._gap, self._since) <= OUT_OF_STEP
+        return self._table.takes_satellites and (in_step or self._table.format == "stat")
 
     def _is_wanted(self, solution: SolutionMessage) -> bool:
         limit_m = self._table.max_sigma_m

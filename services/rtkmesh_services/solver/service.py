@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import msgspec
 
 from rtkmesh.errors import OptionError
+from rtkmesh.gnss.ephemeris import ReferenceStation
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.pairing import Pair
@@ -28,7 +29,7 @@ from rtkmesh_services.runtime.configuration import load_solver_table
 from rtkmesh_services.runtime.service import Context, Report, Service, done
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 from rtkmesh_services.solver.followers import Followers
-from rtkmesh_services.solver.formats import publish_texts
+from rtkmesh_services.solver.formats import TextPublisher
 from rtkmesh_services.solver.inputs import CREDIT_EVERY, STREAMS, InputStream
 from rtkmesh_services.solver.warming import warm_engine
 
@@ -68,6 +69,8 @@ class SolverService(Service):
         self._satellites_ns = self._ready_ns = 0
         self._opened_s = 0.0
         self._followers = Followers(context)
+        self._texts = TextPublisher()
+        self._base_station_id = 0
 
     def warm(self) -> None:
         """Compile or load the engine's kernels."""
@@ -187,6 +190,8 @@ class SolverService(Service):
                 self._received[message.time] = received_mono_ns
                 if len(self._received) > RECEIVE_TIMES:
                     del self._received[next(iter(self._received))]
+        elif source is Source.BASE and isinstance(message, ReferenceStation):
+            self._base_station_id = message.station_id
         self._session.feed(source, message, now_s)
 
     def _advance(self) -> None:
@@ -218,13 +223,14 @@ class SolverService(Service):
             mode=self._table.mode,
             rover=self._table.rover,
             base=self._table.base,
+            base_station_id=self._base_station_id,
             solve_ms=solve_ms,
             received_mono_ns=received,
             published_mono_ns=now_ns,
         )
         self._sequence += 1
         context.bus.publish(SOL, message)
-        publish_texts(context.bus, solution)
+        self._texts.publish(context.bus, solution, message)
         due = self._followers.wants_satellites or now_ns - self._satellites_ns >= SATELLITES_PERIOD_NS
         if due and context.bus.matched(SAT):
             self._satellites_ns = now_ns

@@ -103,7 +103,7 @@ def _velocity(velocity: Vector, deviations: Sequence[float]) -> list[str]:
 
 def _deviations(covariance: Matrix, order: Sequence[int]) -> list[float]:
     a, b, c, *mixed = (covariance[k] if isfinite(covariance[k]) else 0.0 for k in order)
-    return [sqrt(value) if value > 0.0 else 0.0 for value in (a, b, c)] + [-sqrt(-x) if x < 0.0 else sqrt(x) for x in mixed]
+    return [0.0 if x < 0.0 else sqrt(x) for x in (a, b, c)] + [-sqrt(-x) if x < 0.0 else sqrt(x) for x in mixed]
 
 
 def _angle(angle_deg: float, options: TextOptions) -> list[str]:

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from math import isfinite
 from typing import Any, Final
 
+from rtkmesh.gnss.sentences import sentence
 from rtkmesh_services.texts.options import TextOptions
-from rtkmesh_services.texts.sentences import sentence
 from rtkmesh_services.texts.times import calendar, instant
 
 _DECIMALS: Final = 3

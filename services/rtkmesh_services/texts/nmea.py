@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from math import atan2, degrees, hypot, isfinite, sqrt
 from typing import Final
 
+from rtkmesh.gnss.ellipse import error_ellipse
+from rtkmesh.gnss.sentences import sentence
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_services.texts.geodesy import Vector, enu_rotation, geodetic, turned, turned_covariance
 from rtkmesh_services.texts.geoid import geoid_height_m
 from rtkmesh_services.texts.lines import sexagesimal
 from rtkmesh_services.texts.options import TextOptions
-from rtkmesh_services.texts.sentences import sentence
 from rtkmesh_services.texts.sky import Dops
 from rtkmesh_services.texts.times import nmea_time
 
@@ -118,17 +119,9 @@ def gst(fix: Fix) -> str:
     covariance = turned_covariance(enu_rotation(*fix.place[:2]), fix.solution.position_cov_ecef_m2)
     east_m2, north_m2, up_m2, north_east_m2 = (value if isfinite(value) else 0.0 for value in (*covariance[::4], covariance[3]))
     rms = "0.000" if fix.is_rtklibs else _number(fix.solution.code_rms_m, 3)
-    major_m, minor_m, direction_deg = _ellipse(north_m2, east_m2, north_east_m2)
+    major_m, minor_m, direction_deg = error_ellipse(north_m2, east_m2, north_east_m2)
     sigmas = ",".join(f"{sqrt(max(value, 0.0)):.3f}" for value in (north_m2, east_m2, up_m2))
     return sentence(f"{fix.options.talker}GST,{fix.clock},{rms},{major_m:.3f},{minor_m:.3f},{direction_deg:.1f},{sigmas}")
-
-
-def _ellipse(north_m2: float, east_m2: float, north_east_m2: float) -> Vector:
-    """Return half axes (m) of the ellipse of a horizontal covariance and the larger one's direction from north, 0 to 180 degrees."""
-    mean, half = (north_m2 + east_m2) / 2.0, (north_m2 - east_m2) / 2.0
-    spread = hypot(half, north_east_m2)
-    direction_deg = degrees(atan2(north_east_m2, half) / 2.0) % 180.0
-    return sqrt(max(mean + spread, 0.0)), sqrt(max(mean - spread, 0.0)), direction_deg
 
 
 def _number(value: float, decimals: int) -> str:

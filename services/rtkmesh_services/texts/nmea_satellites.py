@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Final, NamedTuple
 
+from rtkmesh.gnss.sentences import sentence
 from rtkmesh_services.texts.options import TextOptions
-from rtkmesh_services.texts.sentences import sentence
 from rtkmesh_services.texts.sky import Dops, Satellite, dops
 
 _IN_GSA: Final = 12

@@ -10,7 +10,7 @@ from typing import Final
 from rtkmesh_schemas.solution import SatellitesMessage, SolutionMessage
 from rtkmesh_services.texts.geodesy import Matrix, Vector, enu_rotation, geodetic, known, turned
 from rtkmesh_services.texts.options import TextOptions
-from rtkmesh_services.texts.status_satellites import Row, ionosphere, rows_of, satellite
+from rtkmesh_services.texts.status_satellites import ionosphere, rows_of, satellite
 
 _FIX: Final = 1
 _RELATIVE: Final = (1, 2, 4)  # Q of solutions that have a float solution beside them
@@ -22,28 +22,29 @@ _MHZ_PER_CHANNEL: Final = (0.5625, 0.4375)  # GLONASS L1 and L2
 
 
 def status(solution: SolutionMessage, satellites: SatellitesMessage | None, options: TextOptions) -> str:
-    """Return the records of an epoch; "" without a solution. ``satellites`` are written when they are of this epoch."""
+    """Return the records of an epoch; "" without a solution. Records of satellites have the time of their own message."""
     if solution.status <= 0 or not known(solution.position_ecef_m):
         return ""
-    current = satellites is not None and (satellites.week, satellites.tow_s) == (solution.week, solution.tow_s)
-    rows = rows_of(satellites) if current and satellites is not None else []
-    records = _states(solution, rows, options)
-    if options.status == "residual":
-        records += [f"$SAT,{_time(solution)},{satellite(row, options.dialect)}" for row in rows]
+    records = _states(solution, options)
+    if satellites is not None:
+        rows, time = rows_of(satellites), _time(satellites)
+        records[3:3] = [f"$ION,{time},{solution.status},{record}" for record in ionosphere(rows)]
+        if options.status == "residual":
+            records += [f"$SAT,{time},{satellite(row, options.dialect)}" for row in rows]
     return options.newline.join([*records, ""])
 
 
-def _time(solution: SolutionMessage) -> str:
-    return f"{solution.week},{solution.tow_s:.3f}"
+def _time(message: SolutionMessage | SatellitesMessage) -> str:
+    return f"{message.week},{message.tow_s:.3f}"
 
 
-def _states(solution: SolutionMessage, rows: Sequence[Row], options: TextOptions) -> list[str]:
+def _states(solution: SolutionMessage, options: TextOptions) -> list[str]:
+    """Return the records of states; those of the ionosphere belong behind the third."""
     head = f"{_time(solution)},{solution.status}"
     return [
         f"$POS,{head},{_numbers(_float_position(solution), 4)},{_numbers(_if_fixed(solution, solution.position_ecef_m), 4)}",
         f"$VELACC,{head},{_motion(solution)}",
         f"$CLK,{head},1,{_numbers(_clocks_ns(solution, options), 3)}",
-        *(f"$ION,{head},{record}" for record in ionosphere(rows)),
         *(f"$TROP,{head},{record}" for record in _numbered(solution.zenith_delays_m)),
         *(f"$HWBIAS,{head},{record}" for record in _numbered(solution.glonass_slope_m / mhz for mhz in _MHZ_PER_CHANNEL)),
     ]

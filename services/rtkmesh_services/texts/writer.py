@@ -25,6 +25,7 @@ class TextWriter:
         self.options = options
         self._end = options.newline
         self._course = Course()
+        self._satellites_at = (0, 0.0)
 
     def header(self, about: TextAbout) -> bytes:
         """Return what stands before the first solution; nothing for nmea and stat."""
@@ -33,7 +34,7 @@ class TextWriter:
     def epoch(self, solution: SolutionMessage, satellites: SatellitesMessage | None = None) -> bytes:
         """Return what RTKLIB prints of an epoch; nothing where it prints nothing.
 
-        ``satellites`` are the newest there are; sentences take them as they are, status records only those of this epoch.
+        ``satellites`` are the newest there are. Sentences take them as they are; status records write each message once, with its own time.
         """
         return self.text(solution, satellites).encode("ascii", "replace")
 
@@ -42,7 +43,7 @@ class TextWriter:
         if self.options.format == "nmea":
             return self._sentences(solution, satellites)
         if self.options.format == "stat":
-            return status(solution, satellites, self.options)
+            return status(solution, self._fresh(satellites), self.options)
         text = line(solution, self.options)
         return text + self._end if text else ""
 
@@ -63,6 +64,13 @@ class TextWriter:
         fix = fix_of(solution, self.options)
         dilutions = Dops() if fix.is_rtklibs else dops([one for one in satellites_of(satellites) if one.used])
         return rmc(fix, self._course) + gga(fix, dilutions) + ("" if fix.is_old else gst(fix))
+
+    def _fresh(self, satellites: SatellitesMessage | None) -> SatellitesMessage | None:
+        """Return satellites that were not written yet."""
+        if satellites is None or (satellites.week, satellites.tow_s) == self._satellites_at:
+            return None
+        self._satellites_at = satellites.week, satellites.tow_s
+        return satellites
 
     def _is_due(self, solution: SolutionMessage, interval_s: float) -> bool:
         return is_due(solution.tow_s, interval_s, _TOLERANCE_S[self.options.dialect])
