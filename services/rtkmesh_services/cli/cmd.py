@@ -38,6 +38,7 @@ def cmd(
     /,
     *args: Annotated[str, Parameter(help="Arguments: name=value, or a bare word where one is usual (load FILE).")],
     timeout: Annotated[float, Parameter(help="Seconds until the answer counts as missing.")] = 2.0,
+    expires: Annotated[float, Parameter(help="Not to be done later than in so many seconds; 0: whenever it comes.")] = 0.0,
     as_json: Json = False,
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
@@ -55,7 +56,7 @@ def cmd(
     if values is None:
         return EXIT_USAGE
     with reach(connect, namespace) as bus:
-        replies = call(bus, id, op, values, timeout)
+        replies = call(bus, id, op, values, timeout, expires_s=expires)
     if as_json:
         _print_json(id, replies)
     else:

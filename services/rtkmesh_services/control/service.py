@@ -34,6 +34,7 @@ class ControlService(Service):
         "reload": "read the deployment file again and apply what has changed",
         "output": "the newest lines that a process wrote: id=ID [lines=50]",
     }
+    reads: ClassVar[frozenset[str]] = frozenset({"output"})
 
     def __init__(self, context: Context, keeper: Keeper, options: LaunchOptions) -> None:
         super().__init__(context)
