@@ -9,19 +9,7 @@ from cyclopts import Parameter
 from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, EXIT_USAGE, Connect, Json, Namespace, exit_code, reach
 from rtkmesh_services.cli.page import command_page
-
-# An operation's first bare words, in order: ``load FILE`` is load with file=FILE.
-_POSITIONAL = {
-    "load": ("file",),
-    "log": ("level",),
-    "get": ("key",),
-    "set": ("key", "value"),
-    "option": ("key", "value"),
-    "start": ("id",),
-    "stop": ("id",),
-    "restart": ("id",),
-    "output": ("id", "lines"),
-}
+from rtkmesh_services.runtime.console_words import WordError, arguments
 
 _EXAMPLES = """
 rtkmesh cmd rtk stop
@@ -52,8 +40,10 @@ def cmd(
     """
     from rtkmesh_services.runtime.calls import call
 
-    values = arguments(op, args)
-    if values is None:
+    try:
+        values = arguments(op, args)
+    except WordError as error:
+        sys.stderr.write(f"rtkmesh cmd: {error}\n")
         return EXIT_USAGE
     with reach(connect, namespace) as bus:
         replies = call(bus, id, op, values, timeout, expires_s=expires)
@@ -63,29 +53,6 @@ def cmd(
         for reply in replies:
             _print(reply)
     return exit_code(replies)
-
-
-def arguments(op: str, words: tuple[str, ...]) -> dict[str, Any] | None:
-    """Return the arguments in the words of a command line; None after having said what is wrong."""
-    values: dict[str, Any] = {}
-    names = iter(_POSITIONAL.get(op, ()))
-    for word in words:
-        name, sign, value = word.partition("=")
-        if not sign or not name.replace("_", "").replace(".", "").isalnum():
-            name, value = next(names, ""), word
-            if not name:
-                sys.stderr.write(f"rtkmesh cmd: {word!r} is no argument of {op}: write name=value\n")
-                return None
-        values[name] = _value(value)
-    return values
-
-
-def _value(text: str) -> Any:
-    """Return numbers, true, false and JSON lists as such, everything else as text."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
 
 
 def _print_json(id: str, replies: list[Reply]) -> None:  # noqa: A002

@@ -14,12 +14,14 @@ from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, spe
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.supervisor import ProcessState
+from rtkmesh_services.control.telnet.servers import TelnetServers
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_deployment
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
 
 ALL: Final = frozenset({"all", "*"})
 _DEFAULT_LINES: Final = 50
+_LISTEN_AGAIN_NS: Final = 5_000_000_000
 _LEVELS: Final = {ProcessState.FAILED: Level.ERROR, ProcessState.WAITING: Level.WARNING}
 
 
@@ -41,11 +43,14 @@ class ControlService(Service):
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
         self._last: dict[str, tuple[str, int]] = {}
+        self._telnet = TelnetServers(context)
+        self._telnet_ns = 0
 
     def open(self) -> None:
         """Listen to the heartbeats of all."""
         self._keeper.on_change(self._changed)
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
+        self._telnet.apply(self._deployment.telnet)
 
     def handle(self, item: Any) -> None:
         """Take a status: the heartbeat of a work loop."""
@@ -57,6 +62,16 @@ class ControlService(Service):
             self.context.log.debug("a status that is none on %s: %s", item.key, error)
             return
         self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
+
+    def tick(self, now_mono_ns: int) -> None:
+        """Try again what could not listen."""
+        if now_mono_ns - self._telnet_ns >= _LISTEN_AGAIN_NS:
+            self._telnet_ns = now_mono_ns
+            self._telnet.try_again()
+
+    def close(self) -> None:
+        """Let the consoles go."""
+        self._telnet.close()
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
@@ -90,9 +105,11 @@ class ControlService(Service):
             "failed": len(failed),
             "restarts": sum(row["restarts"] for row in rows),
             "listener_errors": self._keeper.listener_errors,
+            **self._telnet.counters(),
         }
-        state = State.DEGRADED if failed else State.RUNNING
-        return Report(state=state, reason="; ".join(failed), counters=counters, data={"processes": rows})
+        faults = [*failed, *self._telnet.faults]
+        state = State.DEGRADED if faults else State.RUNNING
+        return Report(state=state, reason="; ".join(faults), counters=counters, data={"processes": rows})
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -113,6 +130,7 @@ class ControlService(Service):
         ):
             return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
         self._deployment = deployment
+        self._telnet.apply(deployment.telnet)
         changes = self._keeper.apply(specs_of(deployment, self._options))
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
         return accepted(text or "nothing has changed", **changes)

@@ -11,10 +11,11 @@ from rtkmesh_schemas.errors import BadKeyError
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
 from rtkmesh_services.runtime.faults import Faults
 from rtkmesh_services.runtime.preset_checks import check_presets
+from rtkmesh_services.runtime.telnet_checks import check_telnet
 from rtkmesh_services.runtime.words import clip, nearest
 
 MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
-NAMED: Final = (*MULTIPLE, "preset")  # all that are written [TABLE.NAME]
+NAMED: Final = (*MULTIPLE, "preset", "telnet")  # all that are written [TABLE.NAME]
 _SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
 _MOUNT: Final = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
@@ -43,6 +44,7 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
         _check_output(reader, id, output)
     _check_lists(reader, deployment)
     check_presets(reader, deployment)
+    check_telnet(reader, deployment)
     for index, address in enumerate(deployment.hub.listen):
         if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):
             reader.fault(
