@@ -2,12 +2,11 @@
 
 import socket
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from random import Random
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -24,8 +23,9 @@ from tests.services.old_script import (
     echo_of,
     run_old_script,
 )
+from tests.services.told_solver import Solver
 
-from rtkmesh_schemas.command import Code, Reply, Request
+from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.config_telnet import TelnetTable
 from rtkmesh_schemas.errors import ConfigError
@@ -37,63 +37,11 @@ from rtkmesh_services.control.telnet.screens import shown, wire
 from rtkmesh_services.control.telnet.server import TelnetServer
 from rtkmesh_services.control.telnet.servers import TelnetServers
 from rtkmesh_services.control.telnet.throttle import LOCKED_AFTER, MAXIMUM_ADDRESSES, MEMORY_S, Throttle
-from rtkmesh_services.errors import CommandError
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import parse_deployment
-from rtkmesh_services.runtime.lifecycle import Lifecycle
-from rtkmesh_services.runtime.service import Context, Service, accepted, done
+from rtkmesh_services.runtime.service import Context, accepted, done
 
 WAIT_S = 10.0
-
-
-class Told(Service):
-    """A solver that has RTKRCV's texts, as recorded."""
-
-    role: ClassVar[Role] = Role.SOLVER
-    tick_s: ClassVar[float] = 0.02
-    operations: ClassVar[dict[str, str]] = dict.fromkeys(("start", "satellite", "solution", "stream", "set", "status", "load"), "as RTKRCV")
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self.asked: list[Request] = []
-
-    def handle(self, item: Any) -> None:
-        """Nothing is subscribed."""
-
-    def command(self, request: Request) -> Reply:
-        self.asked.append(request)
-        if request.op == "start":
-            raise CommandError(Code.WRONG_STATE, "rtk server already started")
-        if request.op == "stream":
-            return Reply(ok=True, code=Code.OK, text="Stream\n" + "x" * 200_000 + "\n")
-        texts = {
-            "satellite": SATELLITE_HEAD.decode().strip("\r\n").removeprefix("\x1b[1m").removesuffix("\x1b[0m") + "\nG01 OK  100.0 45.0\n",
-            "solution": f"2026/11/26 15:00:0{len(self.asked) % 10}.0  (FIX  ) N: 35 E: 139 H: 1.0 A: 0.0 R: 9.9 N: 9\n",
-            "status": "Parameter                   : Value\nrtklib version              : rtkmesh\nrtk server state            : run\n",
-        }
-        return Reply(ok=True, code=Code.OK, message=f"{request.op} done", text=texts.get(request.op, ""))
-
-
-class Solver:
-    """The service above in a thread, on the network."""
-
-    def __init__(self, site: Any) -> None:
-        self.bus = site.bus("rtk")
-        self.service = Told(Context(id="rtk", role=Role.SOLVER, deployment=Deployment(), bus=self.bus))
-        self._life = Lifecycle(self.service, warm_in_thread=False)
-        self._life.start()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while not self._life.ended:
-            self._life.step()
-
-    def close(self) -> None:
-        self._life.end("the test is over")
-        self._thread.join(WAIT_S)
-        self._life.finish()
-        self.bus.close()
 
 
 class Consoles:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -51,7 +52,7 @@ def cmd(
         _print_json(id, replies)
     else:
         for reply in replies:
-            _print(reply)
+            show_reply(reply, sys.stdout.write if reply.ok else sys.stderr.write)
     return exit_code(replies)
 
 
@@ -61,28 +62,29 @@ def _print_json(id: str, replies: list[Reply]) -> None:  # noqa: A002
     sys.stdout.write(encode_json(replies if id == "*" or len(replies) != 1 else replies[0]).decode() + "\n")
 
 
-def _print(reply: Reply) -> None:
-    out = sys.stdout if reply.ok else sys.stderr
+def show_reply(reply: Reply, write: Callable[[str], Any]) -> None:
+    """Write a reply for people: who, the message, the state, and the data below it."""
     head = f"{reply.id}: " if reply.id else ""
     verdict = "" if reply.code is Code.OK else f"{reply.code.value}: "
     state = f" [{reply.state}]" if reply.state else ""
-    out.write(f"{head}{verdict}{reply.message}{state}\n")
+    lines = [f"{head}{verdict}{reply.message}{state}"]
     for name, value in reply.data.items():
-        _print_value(name, value, out, 1)
+        lines += _lines(name, value, 1)
+    write("".join(f"{line}\n" for line in lines))
 
 
-def _print_value(name: str, value: Any, out: Any, depth: int) -> None:
+def _lines(name: str, value: Any, depth: int) -> Iterator[str]:
     indent = "  " * depth
     if isinstance(value, dict) and value:
-        out.write(f"{indent}{name}:\n")
+        yield f"{indent}{name}:"
         for inner, item in value.items():  # pyright: ignore[reportUnknownVariableType]  any plain data
-            _print_value(str(inner), item, out, depth + 1)  # pyright: ignore[reportUnknownArgumentType]
+            yield from _lines(str(inner), item, depth + 1)  # pyright: ignore[reportUnknownArgumentType]
     elif isinstance(value, list) and any(isinstance(item, (dict, str)) for item in value):  # pyright: ignore[reportUnknownVariableType]
-        out.write(f"{indent}{name}:\n")
+        yield f"{indent}{name}:"
         for item in value:  # pyright: ignore[reportUnknownVariableType]
-            out.write(f"{indent}  {item if isinstance(item, str) else json.dumps(item)}\n")
+            yield f"{indent}  {item if isinstance(item, str) else json.dumps(item)}"
     elif value not in ({}, [], None, ""):
-        out.write(f"{indent}{name}: {value if isinstance(value, (str, int, float)) else json.dumps(value)}\n")
+        yield f"{indent}{name}: {value if isinstance(value, (str, int, float)) else json.dumps(value)}"
 
 
 app = command_page(cmd, _EXAMPLES)

@@ -51,6 +51,8 @@ _POSITIONAL: Final[Mapping[str, tuple[str, ...]]] = {
     "mark": ("name", "comment"),
     "mode": ("mode",),
     "help": ("word",),
+    "use": ("id",),
+    "events": ("switch",),
     "start": ("id",),
     "stop": ("id",),
     "restart": ("id",),
