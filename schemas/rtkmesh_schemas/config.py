@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from rtkmesh_schemas.config_presets import BasesTable, PresetNames, PresetTable
+from rtkmesh_schemas.config_rules import RuleTable
 from rtkmesh_schemas.config_telnet import TelnetTable
 
 Positive = Annotated[float, Meta(gt=0.0, lt=1e9)]
@@ -327,3 +328,4 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     bases: BasesTable = BasesTable()
     preset: dict[str, PresetTable] = {}
     telnet: dict[str, TelnetTable] = {}
+    rule: dict[str, RuleTable] = {}

@@ -10,13 +10,15 @@ from rtkmesh_schemas.errors import ConfigError, SchemaError
 from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
+from rtkmesh_services.control.automation import Automation, RuleSample
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.control.telnet.servers import TelnetServers
-from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_deployment
+from rtkmesh_services.runtime.rule_words import parse_rule
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
 
 ALL: Final = frozenset({"all", "*"})
@@ -42,18 +44,21 @@ class ControlService(Service):
         super().__init__(context)
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
-        self._last: dict[str, tuple[str, int]] = {}
         self._telnet = TelnetServers(context)
         self._telnet_ns = 0
+        self._automation = Automation(context)
 
     def open(self) -> None:
-        """Listen to the heartbeats of all."""
+        """Listen to the heartbeats of all, and to what rules watch."""
         self._keeper.on_change(self._changed)
+        self._apply_rules()
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
         self._telnet.apply(self._deployment.telnet)
 
     def handle(self, item: Any) -> None:
-        """Take a status: the heartbeat of a work loop."""
+        """Take a status: the heartbeat of a work loop; or a message that a rule watches."""
+        if isinstance(item, RuleSample | Liveliness):
+            self._automation.take(item, self._now_s())
         if not isinstance(item, Sample):
             return
         try:
@@ -64,13 +69,15 @@ class ControlService(Service):
         self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
 
     def tick(self, now_mono_ns: int) -> None:
-        """Try again what could not listen."""
+        """Let time act on the rules; try again what could not listen."""
+        self._automation.tick(now_mono_ns * 1e-9)
         if now_mono_ns - self._telnet_ns >= _LISTEN_AGAIN_NS:
             self._telnet_ns = now_mono_ns
             self._telnet.try_again()
 
     def close(self) -> None:
-        """Let the consoles go."""
+        """Let the rules and the consoles go."""
+        self._automation.close()
         self._telnet.close()
 
     def command(self, request: Request) -> Reply:
@@ -109,7 +116,8 @@ class ControlService(Service):
         }
         faults = [*failed, *self._telnet.faults]
         state = State.DEGRADED if faults else State.RUNNING
-        return Report(state=state, reason="; ".join(faults), counters=counters, data={"processes": rows})
+        data = {"processes": rows, "rules": self._automation.report()}
+        return Report(state=state, reason="; ".join(faults), counters=counters, data=data)
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -131,9 +139,17 @@ class ControlService(Service):
             return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
         self._deployment = deployment
         self._telnet.apply(deployment.telnet)
+        self._apply_rules()
         changes = self._keeper.apply(specs_of(deployment, self._options))
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
         return accepted(text or "nothing has changed", **changes)
+
+    def _apply_rules(self) -> None:
+        rules = [parse_rule(name, table) for name, table in self._deployment.rule.items()]
+        self._automation.apply(rules, self._now_s())
+
+    def _now_s(self) -> float:
+        return self.context.clock.mono_ns() * 1e-9
 
     def _changed(self, row: dict[str, Any]) -> None:
         """Tell the network of a change (called in the keeper's thread)."""
