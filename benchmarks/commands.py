@@ -164,9 +164,8 @@ def measure(bus: Bus, count: int, rate: int) -> None:
     before = np.percentile(quiet.latency_ms, (50, 99))
     asked = Solutions()
     handle = bus.subscribe(SOL.key("rtk"), asked.take)
-    print(
-        f"| process and word, {rate} epochs a second | asked | p50 ms | p99 ms | max ms | over {BUDGET_MS:.0f} ms |\n|---|---|---|---|---|---|"
-    )
+    print(f"| process and word, {rate} epochs a second | asked | p50 ms | p99 ms | max ms | over {BUDGET_MS:.0f} ms |")
+    print("|---|---|---|---|---|---|")
     took = one_after_the_other(bus, count)
     for (id_, op), times in took.items():
         row(f"{id_} {op}", times)

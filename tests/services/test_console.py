@@ -203,7 +203,8 @@ def test_completions(world: World, before: str, expected: list[str]):
     [
         ("status 2", Typed("status", {}, 2.0)),
         ("status 0", Typed("status", {}, 0.0)),
-        ("satellite -2 .5", Typed("satellite", {"options": ["-2"]}, 0.5)),
+        ("satellite -2 .5", Typed("satellite", {"frequencies": 2}, 0.5)),
+        ("navidata -p1 -n2", Typed("navidata")),
         ("so 1e9", Typed("solution", {}, 3600.0)),
         ("so 0.0001", Typed("solution", {}, 0.1)),
         ("set a 5", Typed("set", {"key": "a", "value": 5})),

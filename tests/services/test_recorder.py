@@ -25,12 +25,12 @@ from rtkmesh_schemas.keys import EVENT, RAW, Role
 from rtkmesh_schemas.status import Event, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.cli.main import run
-from rtkmesh_services.recorder.raw_log import MAXIMUM_PENDING, RawLog
 from rtkmesh_services.recorder.recovery import recover
 from rtkmesh_services.recorder.service import RecorderService
 from rtkmesh_services.runtime.clock import Clock
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
+from rtkmesh_services.runtime.raw_log import MAXIMUM_PENDING, RawLog
 from rtkmesh_services.runtime.service import Context
 from rtkmesh_services.runtime.time_tags import parse_tag, parse_times
 
@@ -168,7 +168,7 @@ def test_a_disk_that_hangs_in_fsync_blocks_nobody(tmp_path: Path, monkeypatch: p
         assert released.wait(10.0)
         real(descriptor)
 
-    monkeypatch.setattr("rtkmesh_services.recorder.raw_log.os.fsync", fsync)
+    monkeypatch.setattr("rtkmesh_services.runtime.raw_log.os.fsync", fsync)
     recorder = Recorder(tmp_path)
     recorder.send(FRAMES[0])
     assert hanging.wait(10.0)

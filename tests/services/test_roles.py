@@ -186,7 +186,11 @@ def test_load_takes_a_table_below_the_folder_and_nothing_else(world: World) -> N
     (world.folder / "plain.toml").write_text('[solver]\nrover = "rover"\nmode = "single"\n')
     (world.folder / "typo.toml").write_text('[solver]\nrover = "rover"\nelmask = 10\n')
     world.play(6)
-    assert world.ask("rtk", "op=load&file=plain.toml").ok
+    loaded = world.ask("rtk", "op=load&file=plain.toml")
+    assert (loaded.message, loaded.data["applied"]) == ("Options loaded. Restart to enable them", "on_restart")
+    world.play(1)
+    assert world.solutions()[-1].status_name != "SINGLE"
+    assert world.ask("rtk", "op=restart").ok
     world.play(3)
     assert [s.status_name for s in world.solutions()[-3:]] == ["SINGLE"] * 3
     typo = world.ask("rtk", "op=load&file=typo.toml")

@@ -28,6 +28,7 @@ from rtkmesh.gnss.receiver import ReceiverReport
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import Antenna
 from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.rtk.continuation import Continuation
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.rtk.pairing import Pair, Pairing, PairingOptions
@@ -178,6 +179,19 @@ class Session:
         self.engine = Rtk(self.options.rtk)
         self._use_antennas()
         self._rover_pending = deque((0, message) for _, message in self._rover_pending)
+
+    def go_on(self, options: SessionOptions) -> Continuation:
+        """Take other options without a fresh filter, where the engine can; else change nothing and say why.
+
+        Waiting epochs stay and wait as the new options say.
+        """
+        now = self.options
+        if (now.rover_antenna, now.base_antenna) != (options.rover_antenna, options.base_antenna):
+            return Continuation("ambiguities stand for the phase centres of other antennas")
+        found = self.engine.go_on(options.rtk)
+        if not found.obstacle:
+            self.options, self.pairing.options = options, options.pairing
+        return found
 
     def _end(self, source: Source) -> None:
         if source is Source.BASE:

@@ -34,6 +34,10 @@ AWAY_ROVER: Final = 15
 AWAY_BASE: Final = AWAY_ROVER + STEP
 HISTORY: Final = AWAY_BASE + STEP
 DYNAMIC: Final = 9  # baseline, velocity, acceleration come before the keyed states
+# Sigmas of position (m), velocity (m/s) and acceleration (m/s2) of a new filter: of what moves, stands, and has a known position.
+SEED_MOVING: Final = np.array((30.0, 10.0, 3.0))
+SEED_STANDING: Final = np.array((30.0, 1e-6, 1e-6))
+SEED_FIXED: Final = np.array((1e-4, 1e-6, 1e-6))
 
 
 class Filter(NamedTuple):

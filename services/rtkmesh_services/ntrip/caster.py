@@ -62,11 +62,19 @@ class _Client:
 class Caster:
     """Serves frames to clients. ``publish`` and ``describe`` may be called from any thread, and never block."""
 
-    def __init__(self, host: str, port: int, mounts: Mapping[str, MountPoint], users: Mapping[str, str], maximum_clients: int = 64) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        mounts: Mapping[str, MountPoint],
+        users: Mapping[str, str],
+        maximum_clients: int = 64,
+        header: bytes = b"",
+    ) -> None:
         self._listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
         self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
-        self._users, self._maximum_clients = dict(users), maximum_clients
+        self._users, self._maximum_clients, self._header = dict(users), maximum_clients, header
         self._lock = threading.Lock()
         self._rows = dict(mounts)
         self._pictures = {name: StreamPicture() for name in mounts}
@@ -199,8 +207,8 @@ class Caster:
             self._serve(client, request)
 
     def _serve(self, client: _Client, request: Request) -> None:
-        first = stream_answer(request.version)
-        client.sending = memoryview(first + b"".join(map(client.wrapped, self._pictures[request.mount].station_frames())))
+        first = [self._header] if self._header else self._pictures[request.mount].station_frames()
+        client.sending = memoryview(stream_answer(request.version) + b"".join(map(client.wrapped, first)))
         client.serving, client.deadline_s = True, monotonic() + STALLED_S
         self._write(client)
 
@@ -215,7 +223,7 @@ class Caster:
 
     def _row(self, name: str) -> MountPoint:
         row, picture = self._rows[name], self._pictures[name]
-        told = {"format": picture.format, "details": picture.details, "systems": picture.systems, "bitrate": picture.bitrate}
+        told = {"format": row.format or picture.format, "details": picture.details, "systems": picture.systems, "bitrate": picture.bitrate}
         return replace(row, carrier=2 if picture.has_phases else 0, authentication="B" if self._users else "N", **told)
 
     def _spread(self) -> None:

@@ -20,7 +20,9 @@ from rtkmesh_services.runtime.answers import Answers
 from rtkmesh_services.runtime.audit import READS, note
 from rtkmesh_services.runtime.bus import Query
 from rtkmesh_services.runtime.logs import masked
+from rtkmesh_services.runtime.newest_faults import KEPT, SHOWN
 from rtkmesh_services.runtime.service import Service, accepted, done, refused
+from rtkmesh_services.runtime.solver_words import solver_of
 from rtkmesh_services.runtime.words import clip
 
 BASE_OPERATIONS: Final[Mapping[str, str]] = {
@@ -29,6 +31,7 @@ BASE_OPERATIONS: Final[Mapping[str, str]] = {
     "config": "this process's table of the deployment file, secrets masked",
     "metrics": "counters and latencies as flat numbers",
     "log": "level=debug|info|warning|error: set how much is logged; without level: tell",
+    "error": "count=N: the newest warnings and errors of this process",
     "shutdown": "end the process (control starts it again unless it was told to stop it)",
 }
 STALE_NS: Final = 10_000_000_000  # a command is not done that was issued longer ago, or in the future, by more than this
@@ -48,6 +51,7 @@ class CommandDesk:
             "config": self._tell_config,
             "metrics": self._tell_metrics,
             "log": self._set_log,
+            "error": self._tell_errors,
             "shutdown": self._shut_down,
         }
         self.opened = False
@@ -130,6 +134,8 @@ class CommandDesk:
         except Exception as error:
             self._context.log.exception("command %s failed", request.op)
             return refused(Code.FAILED, f"internal error: {type(error).__name__}: {error}")
+        if place := solver_of(request.op, self._context):
+            return refused(Code.UNKNOWN_OP, place)
         known = sorted({*self._base, *self._service.operations})
         near = difflib.get_close_matches(_fold(request.op), known, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
@@ -137,10 +143,14 @@ class CommandDesk:
 
     def _tell_status(self, request: Request) -> Reply:  # noqa: ARG002  the operations share one form
         status = self._status()
-        return done(status.reason or status.state.value, **msgspec.to_builtins(status))
+        screen, details = self._service.status_screen(status) if self.opened else ("", {})
+        reply = done(status.reason or status.state.value, **msgspec.to_builtins(status), **details)
+        return msgspec.structs.replace(reply, text=screen)
 
     def _tell_help(self, request: Request) -> Reply:  # noqa: ARG002
-        return done("operations", operations={**BASE_OPERATIONS, **self._service.operations})
+        operations = {**BASE_OPERATIONS, **self._service.operations}
+        reply = done("operations", operations=operations)
+        return msgspec.structs.replace(reply, text="".join(f"{name:<22s}: {meaning}\n" for name, meaning in operations.items()))
 
     def _tell_config(self, request: Request) -> Reply:  # noqa: ARG002
         table = masked(msgspec.to_builtins(self._service.table()))
@@ -148,6 +158,14 @@ class CommandDesk:
 
     def _tell_metrics(self, request: Request) -> Reply:  # noqa: ARG002
         return done("metrics", values=metric_values(self._status()))
+
+    def _tell_errors(self, request: Request) -> Reply:
+        faults, count = self._context.faults, request.args.get("count", SHOWN)
+        if isinstance(count, bool) or not str(count).isdecimal() or not 0 < int(str(count)[:6]) <= KEPT:
+            raise CommandError(Code.BAD_ARGUMENTS, f"count is a whole number from 1 to {KEPT}, not {str(count)[:64]!r}")
+        newest = faults.newest(int(str(count)))
+        reply = done(f"{faults.total} errors and warnings", total=faults.total, errors=[msgspec.to_builtins(fault) for fault in newest])
+        return msgspec.structs.replace(reply, text="".join(f"{fault.line}\n" for fault in newest))
 
     def _set_log(self, request: Request) -> Reply:
         root = logging.getLogger()

@@ -5,6 +5,7 @@ RTKRCV takes the last of its table, which once saved over a file for ``sa``.
 """
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -36,6 +37,7 @@ RTKRCV_WORDS: Final[Mapping[str, str]] = {
     "shutdown": "shutdown rtk server",
 }
 CYCLED: Final = frozenset({"solution", "status", "satellite", "observ", "navidata", "stream"})
+_FLAGGED: Final = frozenset({"satellite", "observ", "navidata"})  # -2: two frequencies; of navidata only RTKRCV's own paging
 IN_FULL: Final = frozenset({"shutdown"})  # no abbreviation does this
 SHORTEST_CYCLE_S: Final = 0.1
 LONGEST_CYCLE_S: Final = 3600.0
@@ -50,6 +52,7 @@ _POSITIONAL: Final[Mapping[str, tuple[str, ...]]] = {
     "option": ("pattern",),
     "mark": ("name", "comment"),
     "mode": ("mode",),
+    "error": ("count",),
     "help": ("word",),
     "use": ("id",),
     "events": ("switch",),
@@ -99,8 +102,8 @@ def arguments(op: str, words: Iterable[str]) -> dict[str, Any]:
     names = iter(_POSITIONAL.get(op, ()))
     for word in words:
         name, sign, value = word.partition("=")
-        if op in CYCLED and word.startswith("-") and not sign:
-            values["options"] = [*values.get("options", []), word]
+        if op in _FLAGGED and re.fullmatch(r"-[a-z]?\d{1,4}", word):
+            values |= {"frequencies": int(word[1:])} if word[1:].isdecimal() and op != "navidata" else {}
             continue
         if not sign or not name.replace("_", "").replace(".", "").isalnum():
             name, value = next(names, ""), word

@@ -41,10 +41,11 @@ from typing import Any, ClassVar
 from rtkmesh_schemas.command import Code, Reply, Request
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.keys import EVENT, Role
-from rtkmesh_schemas.status import Event, InputStatus, Level, Quantiles, State
+from rtkmesh_schemas.status import Event, InputStatus, Level, Quantiles, ServiceStatus, State
 from rtkmesh_services.runtime.bus import Bus, Handle, Sample
 from rtkmesh_services.runtime.clock import Clock
 from rtkmesh_services.runtime.inbox import Inbox
+from rtkmesh_services.runtime.newest_faults import Fault, Faults, time_of_utc
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 
 _LEVELS = {Level.DEBUG: logging.DEBUG, Level.INFO: logging.INFO, Level.WARNING: logging.WARNING, Level.ERROR: logging.ERROR}
@@ -72,6 +73,7 @@ class Context:
     config_hash: str = ""
     data_folder: Path | None = None
     stopping: threading.Event = field(default_factory=threading.Event)
+    faults: Faults = field(default_factory=Faults)
     _events: Iterator[int] = field(default_factory=itertools.count)
 
     def subscribe(self, expression: str, *, lane: str = "stream", history: bool = False, latest: bool = False) -> Handle:
@@ -101,6 +103,8 @@ class Context:
             mono_ns=self.clock.mono_ns(),
             data=data,
         )
+        if level in (Level.WARNING, Level.ERROR):
+            self.faults.add(Fault(time_of_utc(event.utc_ns), level.value, code, text))
         self.bus.publish(EVENT, event, level=level.value)
 
     def wait(self, seconds: float) -> bool:
@@ -157,6 +161,10 @@ class Service(ABC):
         """Return the service's present table of the deployment file."""
         tables: Any = getattr(self.context.deployment, self.context.role.value, {})
         return tables.get(self.context.id) if isinstance(tables, dict) else tables  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]  a role's tables are Any here
+
+    def status_screen(self, status: ServiceStatus) -> tuple[str, dict[str, Any]]:  # noqa: ARG002  a quiet default
+        """Return what RTKRCV's console shows for ``status``, and what it tells beside the status itself."""
+        return "", {}
 
     def report(self) -> Report:
         """Return how the service is; cheap."""

@@ -1,6 +1,6 @@
 """The thread that takes logs to the disk: it may wait for a slow disk, the work loop never does.
 
-What has come is written four times a second and handed to the disk itself (fsync) twice a second. So a killed recorder loses at most a
+What has come is written four times a second and handed to the disk itself (fsync) twice a second. So a killed process loses at most a
 quarter of a second, and a power cut at most half a second and what the last fsync took.
 """
 
@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from rtkmesh_services.recorder.raw_log import RawLog
+from rtkmesh_services.runtime.raw_log import RawLog
 
 WRITE_S: Final = 0.25
 SYNC_S: Final = 0.5
@@ -25,6 +25,7 @@ class LogWriter:
         self.lost = 0  # frames that waited in logs that were closed
         self._logs: set[RawLog] = set()
         self._replaced: list[tuple[RawLog, RawLog]] = []  # logs that are at their end, with those that go on
+        self._ended: list[RawLog] = []  # that nothing goes on from
         self._finished: list[RawLog] = []  # that have still to be brought to the disk
         self._lock = threading.Lock()
         self._synced_s = 0.0
@@ -44,6 +45,13 @@ class LogWriter:
                 self._logs.discard(instead_of)
                 self.full.discard(instead_of)
                 self._replaced.append((instead_of, log))
+
+    def end(self, log: RawLog) -> None:
+        """Close a log that has no successor."""
+        with self._lock:
+            self._logs.discard(log)
+            self.full.discard(log)
+            self._ended.append(log)
 
     def close(self, wait_s: float) -> bool:
         """Write everything out, close all logs and end; False when the disk did not take all of it within the time."""
@@ -65,9 +73,12 @@ class LogWriter:
     def _write(self) -> None:
         with self._lock:
             logs, replaced, self._replaced = list(self._logs), self._replaced, []
+            ended, self._ended = self._ended, []
         for log, successor in replaced:
             successor.give_back(log.finish())
             self._finished.append(log)
+        self.lost += sum(len(log.finish()) for log in ended)
+        self._finished += ended
         self._refused = next((fault for log in logs if (fault := self._written(log))), "")
         self.fault = self._refused or self._not_synced
 

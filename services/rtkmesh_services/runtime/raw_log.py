@@ -1,4 +1,4 @@
-"""One raw log on disk: whole frames as they came, ``.times`` and perhaps RTKLIB's ``.tag`` beside it; only ever appended to.
+"""One log on disk: whole frames or texts as they came, perhaps ``.times`` and RTKLIB's ``.tag`` beside it; only ever appended to.
 
 Frames wait in memory until ``write_out`` takes them to the disk, the data first, then the times that belong to them. What a full disk
 refuses stays in memory, to the byte: the file goes on where it stopped when there is room. Beyond ``MAXIMUM_PENDING`` new frames are
@@ -18,23 +18,29 @@ from rtkmesh_services.runtime.time_tags import TagWriter
 
 MAXIMUM_PENDING: Final = 4 << 20
 _BATCH: Final = 1 << 20  # bytes that are written at once
-_ATTACHMENT: Final = struct.Struct("<QqQ")
+ATTACHMENT: Final = struct.Struct("<QqQ")  # sequence, UTC ns, monotonic ns
 _OPEN: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
 
 Waiting = tuple[bytes, bytes | None]  # a frame and its attachment
-Row = tuple[bytes, bytes, bytes]  # of a frame: its data, its line of .times, its record of .tag
+Row = tuple[bytes, ...]  # of a frame: its data, then its line of .times and its record of .tag where there are such files
 
 
 class RawLog:
-    """One open log with its times. ``append`` is called by the work loop, what writes by the writer's thread alone."""
+    """One open log with its times. ``append`` is called by the work loop, what writes by the writer's thread alone.
 
-    def __init__(self, path: Path, number: int, *, tags: bool) -> None:
+    FileExistsError where one of its files is there already.
+    """
+
+    def __init__(self, path: Path, number: int, *, tags: bool, times: bool = True) -> None:
         self.path, self.number = path, number
         self.size = self.frames = 0  # of what was appended
         self._given_back = self._written = 0  # bytes, counted by the writer
-        self._files = [_File(path), _File(path.with_name(path.name + ".times"))]
-        if tags:
-            self._files.append(_File(path.with_name(path.name + ".tag")))
+        self._has_times, self._has_tags = times, tags
+        endings = ("", *[".times"] * times, *[".tag"] * tags)
+        paths = [path.with_name(path.name + ending) for ending in endings]
+        if taken := next((one for one in paths if one.exists()), None):
+            raise FileExistsError(f"{taken} is there already")
+        self._files = [_File(one) for one in paths]
         self._tags: TagWriter | None = None
         self._waiting: deque[Waiting] = deque()
         self._batch: list[Waiting] = []  # that is being written: its data first, then all its times
@@ -43,13 +49,17 @@ class RawLog:
 
     @staticmethod
     def create(folder: Path, name: str, protocol: str, started: datetime, number: int = 0, *, tags: bool = False) -> "RawLog":
-        """Open a log under a name that does not exist yet."""
-        folder.mkdir(parents=True, exist_ok=True)
-        stem = f"{name}-{started:%Y%m%dT%H%M%SZ}"
+        """Open a log of a receiver's frames under a name that does not exist yet."""
+        return RawLog.beside(folder / f"{name}-{started:%Y%m%dT%H%M%SZ}.{protocol}", number, tags=tags)
+
+    @staticmethod
+    def beside(path: Path, number: int = 0, *, tags: bool = False, times: bool = True) -> "RawLog":
+        """Open a log at a path, or as NAME-1, NAME-2 ... where there is one already."""
+        path.parent.mkdir(parents=True, exist_ok=True)
         for count in range(1000):
             with suppress(FileExistsError):
-                return RawLog(folder / f"{stem}{f'-{count}' if count else ''}.{protocol}", number, tags=tags)
-        raise OSError(f"{folder}: no free name for {stem}.{protocol}")
+                return RawLog(path.with_name(f"{path.stem}-{count}{path.suffix}") if count else path, number, tags=tags, times=times)
+        raise OSError(f"{path.parent}: no free name for {path.name}")
 
     def append(self, payload: bytes, attachment: bytes | None) -> bool:
         """Take one frame; False when too much waits already."""
@@ -132,14 +142,18 @@ class RawLog:
         return left
 
     def _row(self, payload: bytes, attachment: bytes | None) -> Row:
-        if attachment is None or len(attachment) != _ATTACHMENT.size:
-            return payload, b"", b""
-        sequence, utc_ns, mono_ns = _ATTACHMENT.unpack(attachment)
+        if attachment is None or len(attachment) != ATTACHMENT.size:
+            return (payload,) + (b"",) * (len(self._files) - 1)
+        sequence, utc_ns, mono_ns = ATTACHMENT.unpack(attachment)
+        times = (b"%d %d %d %d\n" % (sequence, utc_ns, mono_ns, len(payload)),) if self._has_times else ()
+        return (payload, *times, self._tag(utc_ns, mono_ns)) if self._has_tags else (payload, *times)
+
+    def _tag(self, utc_ns: int, mono_ns: int) -> bytes:
         header = b""
         if self._tags is None:
             self._tags = TagWriter(utc_ns, mono_ns)
             header = self._tags.header
-        return payload, b"%d %d %d %d\n" % (sequence, utc_ns, mono_ns, len(payload)), header + self._tags.record(mono_ns, self._written)
+        return header + self._tags.record(mono_ns, self._written)
 
 
 class _File:
