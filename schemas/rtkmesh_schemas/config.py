@@ -14,6 +14,7 @@ from rtkmesh_schemas.config_flockwave import FlockwaveTable
 from rtkmesh_schemas.config_output import OutputTable
 from rtkmesh_schemas.config_presets import BasesTable, FilterTable, PresetNames, PresetTable
 from rtkmesh_schemas.config_rules import RuleTable
+from rtkmesh_schemas.config_telnet import TelnetTable
 
 Degrees90 = Annotated[float, Meta(ge=0.0, le=90.0)]
 EcefVector = tuple[
@@ -292,4 +293,5 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     monitor: dict[str, MonitorTable] = {}
     bases: BasesTable = BasesTable()
     preset: dict[str, PresetTable] = {}
+    telnet: dict[str, TelnetTable] = {}
     rule: dict[str, RuleTable] = {}

@@ -25,6 +25,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "up": ("rtkmesh_services.cli.up:app", "Run all processes of a deployment file."),
     "run": ("rtkmesh_services.cli.run:app", "Run one process of a deployment in the foreground."),
     "cmd": ("rtkmesh_services.cli.cmd:app", "Ask a process to do something: start, stop, restart, load FILE, status, shutdown, help."),
+    "console": ("rtkmesh_services.cli.console:app", "Speak to a process: a shell with RTKRCV's words, completion, history and cycles."),
     "status": ("rtkmesh_services.cli.status:app", "Show the state of all processes of a running network."),
     "top": ("rtkmesh_services.cli.top:app", "Watch a running network: positions, headings, processes."),
     "echo": ("rtkmesh_services.cli.echo:app", "Print messages as they come."),

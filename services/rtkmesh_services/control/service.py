@@ -22,6 +22,7 @@ from rtkmesh_services.control.flockwave.service import Flockwave
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.supervisor import ProcessState
+from rtkmesh_services.control.telnet.servers import TelnetServers
 from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_deployment
 from rtkmesh_services.runtime.rule_words import parse_rule
@@ -31,6 +32,7 @@ ALL: Final = frozenset({"all", "*"})
 _DEFAULT_LINES: Final = 50
 _LASTING: Final = ("deployment", "hub", "control", "flockwave")
 _LASTING_TEXT: Final = "[deployment], [hub], [control] and [flockwave]"
+_LISTEN_AGAIN_NS: Final = 5_000_000_000
 _LEVELS: Final = {ProcessState.FAILED: Level.ERROR, ProcessState.WAITING: Level.WARNING}
 
 
@@ -46,6 +48,7 @@ class ControlService(Service):
         "preset": PRESET_HELP,
         "output": "the newest lines that a process wrote: id=ID [lines=50]",
     }
+    reads: ClassVar[frozenset[str]] = frozenset({"output"})
 
     def __init__(self, context: Context, keeper: Keeper, options: LaunchOptions) -> None:
         super().__init__(context)
@@ -54,6 +57,8 @@ class ControlService(Service):
         self._bases = Bases(context, keeper, options)
         self._presets = PresetDesk(self._bases.book, self._bases)
         self._flockwave = Flockwave(context, self._bases.book)
+        self._telnet = TelnetServers(context)
+        self._telnet_ns = 0
         self._automation = Automation(context)
 
     def open(self) -> None:
@@ -63,6 +68,7 @@ class ControlService(Service):
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
         self._bases.open(declare_with(self.context, BASES_LANE))
         self._flockwave.open()
+        self._telnet.apply(self._deployment.telnet)
 
     def handle(self, item: Any) -> None:
         """Take a status, the heartbeat of a work loop; what concerns base stations or Flockwave; a message that a rule watches."""
@@ -82,16 +88,20 @@ class ControlService(Service):
         self._flockwave.status(status, item.received_mono_ns)
 
     def tick(self, now_mono_ns: int) -> None:
-        """Bring the base stations to what is wanted; let time act on the rules."""
+        """Bring the base stations to what is wanted; let time act on the rules; try again what could not listen."""
         self._bases.tick(now_mono_ns * 1e-9)
         self._flockwave.tick(now_mono_ns)
         self._automation.tick(now_mono_ns * 1e-9)
+        if now_mono_ns - self._telnet_ns >= _LISTEN_AGAIN_NS:
+            self._telnet_ns = now_mono_ns
+            self._telnet.try_again()
 
     def close(self) -> None:
         """Ask no solver any more, let the rules go, stop listening."""
         self._bases.close()
         self._flockwave.close()
         self._automation.close()
+        self._telnet.close()
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
@@ -128,10 +138,12 @@ class ControlService(Service):
             "restarts": sum(row["restarts"] for row in rows),
             "listener_errors": self._keeper.listener_errors,
             **self._flockwave.counters(),
+            **self._telnet.counters(),
         }
-        state = State.DEGRADED if failed else State.RUNNING
+        faults = [*failed, *self._telnet.faults]
+        state = State.DEGRADED if faults else State.RUNNING
         data = {"processes": rows, "rules": self._automation.report(), **self._bases.data()}
-        return Report(state=state, reason="; ".join(failed), counters=counters, data=data)
+        return Report(state=state, reason="; ".join(faults), counters=counters, data=data)
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -150,6 +162,7 @@ class ControlService(Service):
         if deployment != self._deployment and (faults := examine(self._options.file, self._options.data_folder)):
             return refused(Code.BAD_ARGUMENTS, f"nothing is changed: {faults}")
         self._deployment = deployment
+        self._telnet.apply(deployment.telnet)
         self._apply_rules()
         changes = self._keeper.apply(specs_of(deployment, self._options))
         self._bases.reload(deployment)

@@ -14,10 +14,11 @@ from rtkmesh_services.runtime.file_faults import Faults
 from rtkmesh_services.runtime.output_checks import check_output_table, check_ports
 from rtkmesh_services.runtime.preset_checks import check_presets
 from rtkmesh_services.runtime.rule_words import RuleError, parse_rule
+from rtkmesh_services.runtime.telnet_checks import check_telnet
 from rtkmesh_services.runtime.words import clip, nearest
 
 MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
-NAMED: Final = (*MULTIPLE, "preset", "rule")  # all that are written [TABLE.NAME]
+NAMED: Final = (*MULTIPLE, "preset", "rule", "telnet")  # all that are written [TABLE.NAME]
 _SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
 _LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
 
@@ -46,6 +47,7 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
     _check_lists(reader, deployment)
     _check_flockwave(reader, deployment)
     check_presets(reader, deployment)
+    check_telnet(reader, deployment)
     _check_rules(reader, deployment)
     for index, address in enumerate(deployment.hub.listen):
         if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):

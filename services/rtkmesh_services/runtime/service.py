@@ -131,6 +131,7 @@ class Service(ABC):
     role: ClassVar[Role]
     tick_s: ClassVar[float] = 0.1
     operations: ClassVar[Mapping[str, str]] = {}
+    reads: ClassVar[frozenset[str]] = frozenset()  # those of them that change nothing: they are no events
 
     def __init__(self, context: Context) -> None:
         self.context = context
