@@ -15,10 +15,12 @@ from hypothesis import strategies as st
 
 from rtkmesh_schemas.config import ControlTable
 from rtkmesh_schemas.keys import Role
+from rtkmesh_services.control.endpoints import accepts, is_free, tcp_address
 from rtkmesh_services.control.fleet import ProcessSpec
-from rtkmesh_services.control.keeper import Keeper, accepts, is_free, tcp_address
-from rtkmesh_services.control.process import OutputLine, parse_line
-from rtkmesh_services.control.supervisor import Action, ProcessState, Supervisor, Verb
+from rtkmesh_services.control.keeper import Keeper
+from rtkmesh_services.control.output import OutputLine, parse_line
+from rtkmesh_services.control.records import Action, ProcessState, Verb
+from rtkmesh_services.control.supervisor import Supervisor
 
 LIMITS = ControlTable()
 HUB = ProcessSpec("hub", Role.HUB, ("hub",))

@@ -13,7 +13,8 @@ from rtkmesh_schemas.wire import decode
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
-from rtkmesh_services.control.supervisor import ProcessState
+from rtkmesh_services.control.memory import Memory
+from rtkmesh_services.control.records import ProcessState
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_deployment
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
@@ -42,7 +43,9 @@ class ControlService(Service):
         self._last: dict[str, tuple[str, int]] = {}
 
     def open(self) -> None:
-        """Listen to the heartbeats of all."""
+        """Listen to the heartbeats of all, and say what we have found running."""
+        if text := self._keeper.found.in_words():
+            self.context.event(Level.INFO, "taken_over", text)
         self._keeper.on_change(self._changed)
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
 
@@ -55,7 +58,14 @@ class ControlService(Service):
         except SchemaError as error:
             self.context.log.debug("a status that is none on %s: %s", item.key, error)
             return
-        self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
+        self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9, status.start_id)
+        self._take_word(status)
+
+    def _take_word(self, status: ServiceStatus) -> None:
+        """Remember of a solver that commands have made it run or stop, for the process that may come after it."""
+        table, running = self._deployment.solver.get(status.id), status.data.get("running")
+        if table is not None and isinstance(running, bool):
+            self._keeper.solver_told(status.id, status.pid, None if running == table.autostart else running)
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
@@ -127,10 +137,10 @@ class ControlService(Service):
         self.context.event(_LEVELS.get(state, Level.INFO), f"process_{state.lower()}", text, logged=logged, **row)
 
 
-def keeper_of(deployment: Deployment, options: LaunchOptions) -> Keeper:
+def keeper_of(deployment: Deployment, options: LaunchOptions, memory: Memory | None = None) -> Keeper:
     """Return the keeper of a deployment's fleet, not yet begun."""
     listen = deployment.hub.listen[0] if deployment.hub.enabled and deployment.hub.listen else ""
     specs = specs_of(deployment, options)
     roles = tuple(role for role in FORKED if any(spec.role is role for spec in specs))
     server = ForkServer(roles, clean_environment(os.environ, Role.SOLVER)) if roles else None
-    return Keeper(specs, deployment.control, listen, fork_server=server)
+    return Keeper(specs, deployment.control, listen, fork_server=server, memory=memory)

@@ -55,7 +55,7 @@ class SolverService(Service):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._table: SolverTable = context.deployment.solver[context.id]
-        self._running = self._table.autostart
+        self._running = self._table.autostart if context.running is None else context.running
         with self._refusals():
             self._session = Session(self._session_options(self._table))
         self._inputs = {name: InputStream(name, source, self._ingest(name).replay) for source, name in self._sources()}
@@ -148,6 +148,7 @@ class SolverService(Service):
                 "rover": self._table.rover,
                 "base": self._table.base,
                 "end": self._ended(),
+                "running": self._running,
                 **({} if newest is None else _newest_words(newest)),
                 "antennas": {**self._session.antennas, "corrected": self._session.corrects_antennas},
             },
