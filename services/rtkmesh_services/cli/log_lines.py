@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 from rtkmesh_services.control.output import OutputLine, parse_line
 from rtkmesh_services.runtime.log_files import older
@@ -46,59 +46,45 @@ class Follower:
 
     id: str
     file: Path
-    _stream: IO[bytes] | None = None
+    _inode: int = 0
+    _offset: int = 0
     _rest: bytes = b""
     _time: str = ""
 
     def begin(self) -> list[OutputLine]:
         """Return all lines that are kept; ``read`` then gives those that come after them."""
-        self._open()
-        before: list[bytes] = []
         with suppress(OSError):
-            file = older(self.file)
-            if self._stream is None or not os.path.samestat(file.stat(), os.fstat(self._stream.fileno())):
-                before = file.read_bytes().splitlines()
-        lines = list(timed(self.id, before))
-        self._time = lines[-1].time if lines else ""
-        return lines + self.read()
+            self._inode = older(self.file).stat().st_ino
+        return self.read()
 
     def read(self) -> list[OutputLine]:
         """Return the whole lines that have come."""
-        if self._stream is None:
-            self._open()
-        found = self._read()
-        if self._is_replaced():
-            found += self._read()  # what came until then
-            self._close()
-            self._open()
-            found += self._read()
-        return found
-
-    def _read(self) -> list[OutputLine]:
-        if self._stream is None:
-            return []
-        *rows, self._rest = (self._rest + self._stream.read()).split(b"\n")
+        data = self._added()
+        *rows, self._rest = (self._rest + data).split(b"\n")
         lines = list(timed(self.id, rows, self._time))
         self._time = lines[-1].time if lines else self._time
         return lines
 
-    def _open(self) -> None:
-        with suppress(OSError):
-            self._stream = self.file.open("rb")
-
-    def _close(self) -> None:
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
-
-    def _is_replaced(self) -> bool:
-        if self._stream is None:
-            return False
+    def _added(self) -> bytes:
+        """Return what was added: where we were, also if that file is the older one now, and then what is in the new one."""
         try:
-            there = self.file.stat()
+            with self.file.open("rb") as stream:
+                inode, before = os.fstat(stream.fileno()).st_ino, b""
+                if inode != self._inode:
+                    before, self._inode, self._offset = self._end_of_older(), inode, 0
+                stream.seek(self._offset)
+                data = stream.read()
+                self._offset += len(data)
         except OSError:
-            return False
-        return not os.path.samestat(there, os.fstat(self._stream.fileno()))
+            return b""
+        return before + data
+
+    def _end_of_older(self) -> bytes:
+        with suppress(OSError), older(self.file).open("rb") as stream:
+            if os.fstat(stream.fileno()).st_ino == self._inode:
+                stream.seek(self._offset)
+                return stream.read()
+        return b""
 
 
 def log_files(folder: Path) -> dict[str, Path]:
