@@ -31,7 +31,8 @@ def find(name: str, among: list[Known]) -> Known:
     there = f"there are {', '.join(names)}"
     if found:
         raise ServiceError(f"{f'{clip(name)!r} is the name of several' if name else 'say which deployment'}: {there}")
-    raise ServiceError(f"no deployment {clip(name)!r}{nearest(name, names) or f'; {there}'}")
+    called = sorted({running.name for _, running in among} | set(names))
+    raise ServiceError(f"no deployment {clip(name)!r}{nearest(name, called) or f'; {there}'}")
 
 
 def _is_called(known: Known, name: str) -> bool:

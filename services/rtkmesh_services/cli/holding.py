@@ -37,6 +37,7 @@ class Holding:
         if not left.outlive:  # they die with the control that we come after
             wait_gone((entry.identity for entry in left.alive.values() if entry.identity), left.term_grace_s)
         if left.alive and not self.outlive:
+            folder.release()
             remedy = "`rtkmesh up --detach` takes them over, `rtkmesh down` ends them"
             raise HeldError(f"{', '.join(left.alive)} of {left.name} run without control: {remedy}")
         self._end_strays(folder, left)

@@ -50,7 +50,9 @@ def ps(
 def picture(known: Known) -> dict[str, Any]:
     """Return all that is known of one deployment, as plain values."""
     folder, running = known
-    held, desired = folder.is_held(), folder.desired()
+    # A killed control may hold its lock for a moment longer than it lives.
+    held = folder.is_held() and running.control is not None and is_alive(running.control)
+    desired = folder.desired()
     says = _statuses(running) if held or running.alive else {}
     rows = [_row(entry, desired, says.get(entry.id), held=held) for entry in running.processes.values()]
     if held and running.control is not None:
