@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from rtkmesh_schemas.config_rules import RuleTable
+
 Positive = Annotated[float, Meta(gt=0.0, lt=1e9)]
 NotNegative = Annotated[float, Meta(ge=0.0, lt=1e9)]
 Degrees90 = Annotated[float, Meta(ge=0.0, le=90.0)]
@@ -319,3 +321,4 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     recorder: dict[str, RecorderTable] = {}
     ros2: dict[str, Ros2Table] = {}
     monitor: dict[str, MonitorTable] = {}
+    rule: dict[str, RuleTable] = {}

@@ -87,6 +87,8 @@ SCENARIOS: Final = {
         {**_TWO_ANTENNAS, "base": _BASE_ANTENNA},
         (Window(120.0, 60.0, 15.0, _ALL_OF_IT), Window(120.0, 30.0, 8.0, radians(35.0)), Window(45.0, 20.0, 1.2, _ALL_OF_IT)),
     ),
+    # Under water for 8 of every 30 s: a short mission of an AUV, which tells its depth itself.
+    "auv": Scenario(_SITE, boat, {**_TWO_ANTENNAS, "base": _BASE_ANTENNA}, (Window(30.0, 15.0, 8.0, _ALL_OF_IT),)),
 }
 
 

@@ -10,13 +10,15 @@ from rtkmesh_schemas.errors import ConfigError, SchemaError
 from rtkmesh_schemas.keys import HUB_ID, STATUS, Role
 from rtkmesh_schemas.status import Level, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
+from rtkmesh_services.control.automation import Automation, RuleSample
 from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, specs_of
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.memory import Memory
 from rtkmesh_services.control.records import ProcessState
-from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_deployment
+from rtkmesh_services.runtime.rule_words import parse_rule
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done, refused
 
 ALL: Final = frozenset({"all", "*"})
@@ -40,17 +42,20 @@ class ControlService(Service):
         super().__init__(context)
         self._keeper, self._options = keeper, options
         self._deployment: Deployment = context.deployment
-        self._last: dict[str, tuple[str, int]] = {}
+        self._automation = Automation(context)
 
     def open(self) -> None:
-        """Listen to the heartbeats of all, and say what we have found running."""
+        """Listen to the heartbeats of all, and to what rules watch; say what we have found running."""
         if text := self._keeper.found.in_words():
             self.context.event(Level.INFO, "taken_over", text)
         self._keeper.on_change(self._changed)
+        self._apply_rules()
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
 
     def handle(self, item: Any) -> None:
-        """Take a status: the heartbeat of a work loop."""
+        """Take a status: the heartbeat of a work loop; or a message that a rule watches."""
+        if isinstance(item, RuleSample | Liveliness):
+            self._automation.take(item, self._now_s())
         if not isinstance(item, Sample):
             return
         try:
@@ -66,6 +71,14 @@ class ControlService(Service):
         table, running = self._deployment.solver.get(status.id), status.data.get("running")
         if table is not None and isinstance(running, bool):
             self._keeper.solver_told(status.id, status.pid, None if running == table.autostart else running)
+
+    def tick(self, now_mono_ns: int) -> None:
+        """Let time act on the rules."""
+        self._automation.tick(now_mono_ns * 1e-9)
+
+    def close(self) -> None:
+        """Let the rules go."""
+        self._automation.close()
 
     def command(self, request: Request) -> Reply:
         """Act on the desired state of processes."""
@@ -101,7 +114,9 @@ class ControlService(Service):
             "listener_errors": self._keeper.listener_errors,
         }
         state = State.DEGRADED if failed else State.RUNNING
-        return Report(state=state, reason="; ".join(failed), counters=counters, data={"processes": rows})
+        return Report(
+            state=state, reason="; ".join(failed), counters=counters, data={"processes": rows, "rules": self._automation.report()}
+        )
 
     def _output(self, id_: str, lines: Any) -> Reply:
         try:
@@ -122,9 +137,17 @@ class ControlService(Service):
         ):
             return refused(Code.NOT_ALLOWED, "nothing is changed: [deployment], [hub] and [control] need a new `rtkmesh up`")
         self._deployment = deployment
+        self._apply_rules()
         changes = self._keeper.apply(specs_of(deployment, self._options))
         text = "; ".join(f"{what}: {', '.join(ids)}" for what, ids in changes.items() if ids)
         return accepted(text or "nothing has changed", **changes)
+
+    def _apply_rules(self) -> None:
+        rules = [parse_rule(name, table) for name, table in self._deployment.rule.items()]
+        self._automation.apply(rules, self._now_s())
+
+    def _now_s(self) -> float:
+        return self.context.clock.mono_ns() * 1e-9
 
     def _changed(self, row: dict[str, Any]) -> None:
         """Tell the network of a change (called in the keeper's thread)."""

@@ -19,7 +19,7 @@ import msgspec
 from rtkmesh_schemas.config import Deployment, SolverTable
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.keys import Role
-from rtkmesh_services.runtime.deployment_checks import MULTIPLE, check_deployment
+from rtkmesh_services.runtime.deployment_checks import NAMED, check_deployment
 from rtkmesh_services.runtime.toml_lines import lines_of
 from rtkmesh_services.runtime.words import clip, nearest
 
@@ -181,7 +181,7 @@ class _Reader:
                 self.fault((name,), f"unknown table [{name}]{nearest(name, list(fields))}")
             elif not _is_table(table):
                 self.fault((name,), f"[{name}] is a table, not {type(table).__name__}")
-            elif name in MULTIPLE:
+            elif name in NAMED:
                 kind = fields[name].type.__args__[1]
                 values[name] = {id: made for id, row in table.items() if (made := self.table(kind, row, (name, id))) is not None}  # noqa: A001
             elif (made := self.table(fields[name].type, table, (name,))) is not None:
@@ -350,7 +350,7 @@ def _named(path: tuple[str, ...]) -> str:
 
 def _depth(kind: type[msgspec.Struct], path: tuple[str, ...]) -> int:
     """Return how many chunks of the path name the table of ``kind`` itself: 2 for [solver.rtk], 1 for [hub]."""
-    return 2 if path[0] in MULTIPLE and not (kind is SolverTable and path[1:2] and path[1] in SolverTable.__struct_fields__) else 1
+    return 2 if path[0] in NAMED and not (kind is SolverTable and path[1:2] and path[1] in SolverTable.__struct_fields__) else 1
 
 
 def _kind_at(kind: type[msgspec.Struct], path: tuple[str, ...]) -> type[msgspec.Struct]:

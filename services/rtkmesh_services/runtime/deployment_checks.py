@@ -9,9 +9,11 @@ from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.config import Deployment, IngestTable, OutputTable, SolverTable
 from rtkmesh_schemas.errors import BadKeyError
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
+from rtkmesh_services.runtime.rule_words import RuleError, parse_rule
 from rtkmesh_services.runtime.words import clip, nearest
 
 MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
+NAMED: Final = (*MULTIPLE, "rule")  # all that are written [TABLE.NAME]
 _SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
 _MOUNT: Final = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
@@ -51,6 +53,7 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
     for id, output in deployment.output.items():  # noqa: A001
         _check_output(reader, id, output)
     _check_lists(reader, deployment)
+    _check_rules(reader, deployment)
     for index, address in enumerate(deployment.hub.listen):
         if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):
             reader.fault(
@@ -168,6 +171,16 @@ def _check_lists(reader: Faults, deployment: Deployment) -> None:
             _check_reference(reader, "solver", solver, ("ros2", id, "solvers", str(index)))
         for index, attitude in enumerate(table.attitudes):
             _check_reference(reader, "attitude", attitude, ("ros2", id, "attitudes", str(index)))
+
+
+def _check_rules(reader: Faults, deployment: Deployment) -> None:
+    for name, table in deployment.rule.items():
+        try:
+            parse_rule(name, table)
+        except RuleError as error:
+            reader.fault(("rule", name, error.field), f"[rule.{name}] {error.field}: {error}")
+    if deployment.rule and not deployment.control.enabled:
+        reader.fault(("rule",), "[rule] needs [control] enabled: control is who acts on rules")
 
 
 def _check_reference(reader: Faults, role: str, id: str, path: tuple[str, ...]) -> None:  # noqa: A002
