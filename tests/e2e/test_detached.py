@@ -155,6 +155,29 @@ def test_down_leaves_nothing_and_what_was_stopped_stays_so_until_up_is_fresh(det
     assert robot.left() == []
 
 
+def test_a_process_that_control_had_no_time_to_write_down_is_replaced(detached: Any) -> None:
+    """Control died between the start of `two` and its note: no second one beside it, and `down` finds such a one too."""
+    robot = detached()
+    robot.up()
+    before = robot.starts()
+
+    def forget() -> None:
+        robot.kill_control()
+        [file] = (robot.file.parent / "state").rglob("processes.json")
+        known = json.loads(file.read_bytes())
+        del known["processes"]["two"]
+        file.write_text(json.dumps(known))
+
+    forget()
+    assert robot.picture(code=1)["processes"]["two"]["reason"] == "no control knows it"
+    word = robot.up()
+    assert (word["taken_over"], word["started"]) == (["hub", "one"], ["two"])
+    assert not is_running(before["two"][0])
+    forget()
+    assert "ended hub, one, two" in robot.ask_here("down")
+    assert robot.left() == []
+
+
 def test_two_deployments_of_one_host_do_not_disturb_each_other(detached: Any) -> None:
     """Neither the death nor the end of one touches the other; without a name the commands ask which; a port is taken by whom."""
     robot, boat = detached(), detached(name="boat")

@@ -170,7 +170,10 @@ def test_the_end_of_an_adopted_process_is_seen_and_repaired(watch: Any, spec: An
 
 def test_a_silent_adopted_process_is_replaced(watch: Any, spec: Any) -> None:
     """Hung while no control was there: others are heard, it is not."""
-    pids = watch(spec("a"), spec("b")).up("a", "b")
+    first = watch(spec("a"), spec("b"))
+    pids = first.up("a", "b")
+    first.beat("a")
+    wait_for(lambda: first.row("a")["state"] == "RUNNING")
     second = watch(spec("a"), spec("b"))
     second.until(lambda: second.row("a")["pid"] == pids["a"])
     for _ in range(5):

@@ -165,7 +165,7 @@ class DeploymentFolder:
     def _holder(self) -> str:
         running, name = self.running(), self.folder.name
         who = "" if running.control is None else f", pid {running.control.pid}"
-        return f"{name} has a control already{who} (`rtkmesh ps` shows it, `rtkmesh down {name}` ends it)"
+        return f"{name} has a control already{who} (`rtkmesh cmd control reload` applies a changed file, `rtkmesh down {name}` ends it)"
 
 
 def folder_of(site: Site) -> DeploymentFolder:

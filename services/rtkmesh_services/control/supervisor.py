@@ -38,8 +38,9 @@ class Supervisor:
     def adopt(self, id: str, pid: int, start_id: str, started_s: float, now_s: float) -> None:  # noqa: A002  the word of the design
         """Note that a process of the fleet runs already, started at ``started_s``: its next heartbeat makes it RUNNING."""
         record = self._records[id]
-        record.start_id = start_id
-        record.pid, record.started_s, record.watched_s, record.heartbeat_s = pid, started_s, now_s, now_s
+        heard_s = now_s if start_id else NEVER  # one that was never heard may still be starting
+        record.start_id, record.pid = start_id, pid
+        record.started_s, record.watched_s, record.heartbeat_s = started_s, now_s, heard_s
         record.state, record.reason = ProcessState.STARTING, "taken over, not heard yet"
 
     def replace(self, spec: ProcessSpec, now_s: float) -> None:
