@@ -13,8 +13,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from rtkmesh_schemas.config import ControlTable
+from rtkmesh_schemas.config import ControlTable, Deployment, IngestTable, SolverTable
 from rtkmesh_schemas.keys import Role
+from rtkmesh_schemas.status import State
 from rtkmesh_services.control.adoption import Adopted, end_all, hubs_last, wait_gone
 from rtkmesh_services.control.fleet import ProcessSpec
 from rtkmesh_services.control.keeper import Keeper
@@ -23,6 +24,9 @@ from rtkmesh_services.control.process import Child, start_program
 from rtkmesh_services.control.registry import DeploymentFolder
 from rtkmesh_services.control.supervisor import EXIT_UNKNOWN, Supervisor
 from rtkmesh_services.runtime.host_processes import Identity, identity_of, is_alive
+from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
+from rtkmesh_services.runtime.service import Context
+from rtkmesh_services.solver.service import SolverService
 
 LIMITS = ControlTable(term_grace_s=0.3)
 SLEEPER = "import time; print('up', flush=True); time.sleep(600)"
@@ -288,3 +292,17 @@ def test_an_unknown_exit_is_told_without_a_code() -> None:
     supervisor.adopt("a", 7, "", 0.0, 1.0)
     supervisor.exited("a", EXIT_UNKNOWN, "no such port", 2.0)
     assert supervisor.rows(2.0)[0]["reason"] == "it ended: no such port"
+
+
+@pytest.mark.parametrize(
+    ("autostart", "told", "runs"), [(True, None, True), (True, False, False), (False, None, False), (False, True, True)]
+)
+def test_a_solver_starts_as_control_says_before_it_starts_as_its_table_says(autostart: bool, told: bool | None, runs: bool) -> None:
+    deployment = Deployment(
+        ingest={"rover": IngestTable(source="tcp://127.0.0.1:1")},
+        solver={"rtk": SolverTable(rover="rover", mode="single", autostart=autostart)},
+    )
+    context = Context(id="rtk", role=Role.SOLVER, deployment=deployment, bus=MemoryBus("rtk", MemoryNetwork()), running=told)
+    report = SolverService(context).report()
+    assert report.data["running"] is runs
+    assert (report.state is State.STOPPED) is not runs

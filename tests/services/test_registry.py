@@ -32,7 +32,9 @@ def test_there_is_one_control_and_the_second_is_told_who(tmp_path: Path) -> None
     first.hold()
     first.write_running(Running(name="robot", control=own_identity()))
     assert second.is_held()
-    with pytest.raises(HeldError, match=rf"robot-1 has a control already, pid {os.getpid()} .*rtkmesh cmd control reload.*rtkmesh down robot-1"):
+    with pytest.raises(
+        HeldError, match=rf"robot-1 has a control already, pid {os.getpid()} .*rtkmesh cmd control reload.*rtkmesh down robot-1"
+    ):
         second.hold()
     first.release()
     second.hold()
