@@ -257,9 +257,10 @@ def test_a_solver_fixes_on_while_control_is_killed_and_replaced(detached: Any) -
     assert {message.start_id for message in solutions} == {before["rtk"][1]}
     numbers = [message.sequence for message in solutions]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    row = robot.picture(code=0)["processes"]["heading_rtk"]
-    assert (row["says"], row["told"], row["restarts"]) == ("STOPPED", "stop", 1)
-    assert robot.ask("heading_rtk", "start").ok
+    robot.until(lambda: robot.picture()["processes"]["heading_rtk"]["says"] == "STOPPED")
+    row = robot.picture()["processes"]["heading_rtk"]
+    assert (row["told"], row["restarts"]) == ("stop", 1)
+    robot.until(lambda: robot.ask("heading_rtk", "start").ok)
     robot.until(lambda: robot.rows()["heading_rtk"]["told"] == "")
     robot.ask_here("down")
     assert robot.left() == []
