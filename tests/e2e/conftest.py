@@ -111,9 +111,10 @@ class Network:
         """Leave nothing: a failed test must not disturb the next one."""
         if self._bus is not None:
             self._bus.close()
-        for pid in self.left():
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+        while pids := self.left():  # a control among them may start others until it is gone
+            for pid in pids:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
 
 
 class Deployment(Network):

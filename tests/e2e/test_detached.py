@@ -18,12 +18,23 @@ from rtkmesh_schemas.keys import SOL
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.cli.main import run
-from rtkmesh_services.runtime.shipped import config_path
 
 pytestmark = pytest.mark.e2e
 
 TWO = "[monitor.one]\n[monitor.two]\n"
-DEMO = config_path("demo.toml").read_text().partition("[hub]")[2].partition("\n\n")[2]
+SOLVERS = """
+[ingest.rover]
+source = "sim://demo/rover"
+[ingest.heading]
+source = "sim://demo/heading"
+[solver.rtk]
+rover = "heading"
+base = "rover"
+mode = "moving-base"
+[solver.alone]
+rover = "rover"
+mode = "single"
+"""
 
 
 class Detached(Network):
@@ -236,31 +247,31 @@ def test_a_start_that_fails_says_why_and_leaves_nothing(detached: Any) -> None:
 @pytest.mark.usefixtures("compiled")
 def test_a_solver_fixes_on_while_control_is_killed_and_replaced(detached: Any) -> None:
     """No solution is missing, the solver's filter is the same; a killed solver is back, and one that was told to stop stays stopped."""
-    robot = detached(DEMO)
+    robot = detached(SOLVERS)
     robot.up()
     solutions: list[SolutionMessage] = []
     robot.bus.subscribe(SOL.key("rtk"), lambda sample: solutions.append(decode(SolutionMessage, sample.payload, sample.encoding)))
     robot.until(lambda: solutions and solutions[-1].status == 1, 60.0)
-    assert robot.ask("heading_rtk", "stop").ok
+    assert robot.ask("alone", "stop").ok
     before = robot.starts()
-    robot.until(lambda: robot.rows()["heading_rtk"]["told"] == "stop")
+    robot.until(lambda: robot.rows()["alone"]["told"] == "stop")
     robot.kill_control()
-    os.kill(before["heading_rtk"][0], signal.SIGKILL)
+    os.kill(before["alone"][0], signal.SIGKILL)
     count = len(solutions)
     robot.until(lambda: len(solutions) > count + 5)
     word = robot.up()
-    assert word["started"] == ["heading_rtk"]
+    assert word["started"] == ["alone"]
     count = len(solutions)
     robot.until(lambda: len(solutions) > count + 5)
     after = robot.starts()
-    assert {id_ for id_ in before if after[id_] != before[id_]} == {"heading_rtk"}
+    assert {id_ for id_ in before if after[id_] != before[id_]} == {"alone"}
     assert {message.start_id for message in solutions} == {before["rtk"][1]}
     numbers = [message.sequence for message in solutions]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    robot.until(lambda: robot.picture()["processes"]["heading_rtk"]["says"] == "STOPPED")
-    row = robot.picture()["processes"]["heading_rtk"]
+    robot.until(lambda: robot.picture()["processes"]["alone"]["says"] == "STOPPED")
+    row = robot.picture()["processes"]["alone"]
     assert (row["told"], row["restarts"]) == ("stop", 1)
-    robot.until(lambda: robot.ask("heading_rtk", "start").ok)
-    robot.until(lambda: robot.rows()["heading_rtk"]["told"] == "")
+    robot.until(lambda: robot.ask("alone", "start").ok)
+    robot.until(lambda: robot.rows()["alone"]["told"] == "")
     robot.ask_here("down")
     assert robot.left() == []
