@@ -21,12 +21,13 @@ from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.preset_ports import FoundPort, find_ports
 from rtkmesh_services.control.presets import Change, PresetBook
-from rtkmesh_services.control.supervisor import ProcessState
+from rtkmesh_services.control.records import ProcessState
 from rtkmesh_services.runtime.bus import Handle
 from rtkmesh_services.runtime.service import Context
 from rtkmesh_services.runtime.state_files import state_folder
 
 LOOK_S: Final = 0.2
+HEARD_S: Final = 4.0  # by then all that run have said which base they use
 PORTS_S: Final = 1.0
 LANE: Final = "bases"
 _NOT_YET: Final = (State.STARTING, State.WARMING)
@@ -62,11 +63,12 @@ class Bases:
         self._scores: dict[str, Score] = {}
         self._keys: dict[str, Handle] = {}
         self._orders = orders or BaseOrders(context, LANE)
-        self._next_look_s = 0.0
+        self._next_look_s = self._opened_s = 0.0
         self._on_question: Callable[[str], Handle] | None = None
 
     def open(self, declare_key: Callable[[str], Handle] | None = None) -> None:
         """Begin. ``declare_key`` makes the key of a preset answered."""
+        self._opened_s = self._now_s()
         self._on_question = declare_key
         self.book.on_change(self._changed)
         for name in self.book.ids():
@@ -109,6 +111,8 @@ class Bases:
             if why := choice.update({name: one.value for name, one in self._scores.items()}, now_s):
                 self._tell_failover(solver, before or "", choice, why)
         self._keep_processes()
+        if now_s >= self._opened_s + HEARD_S:
+            self._keeper.end_unclaimed()
         for solver in self._choices:
             self._direct(solver, now_s)
 
@@ -177,7 +181,8 @@ class Bases:
         """
         names = [self.book.selected() or "", *(name for choice in self._choices.values() for name in (*choice.wanted, choice.active or ""))]
         names += [name for name in self.book.ids() if self._on_standby(name)]
-        names += [self._running[used] for solver in self._choices if (used := self._used(solver)) in self._running]
+        known = {ingest_id(name): name for name in self.book.ids()}  # also of processes that an earlier control has started
+        names += [known[used] for solver in self._choices if (used := self._used(solver)) in known]
         return {ingest_id(name): preset for name in dict.fromkeys(names) if (preset := self.book.get(name)) is not None}
 
     def _on_standby(self, name: str) -> bool:
@@ -201,7 +206,7 @@ class Bases:
         for process, preset in wanted.items():
             if self._started.get(process) != preset:
                 self._running[process], self._started[process] = preset.id, preset
-                self._keeper.adopt(base_spec(preset, self._deployment, self._options))
+                self._keeper.include(base_spec(preset, self._deployment, self._options))
 
     def _direct(self, solver: str, now_s: float) -> None:
         """Ask a solver to use its base, where it uses another one."""

@@ -21,7 +21,8 @@ from rtkmesh_services.control.fleet import LaunchOptions, clean_environment, spe
 from rtkmesh_services.control.flockwave.service import Flockwave
 from rtkmesh_services.control.forking import FORKED, ForkServer
 from rtkmesh_services.control.keeper import Keeper
-from rtkmesh_services.control.supervisor import ProcessState
+from rtkmesh_services.control.memory import Memory
+from rtkmesh_services.control.records import ProcessState
 from rtkmesh_services.control.telnet.servers import TelnetServers
 from rtkmesh_services.runtime.bus import Liveliness, Sample
 from rtkmesh_services.runtime.configuration import load_deployment
@@ -62,7 +63,9 @@ class ControlService(Service):
         self._automation = Automation(context)
 
     def open(self) -> None:
-        """Listen to the heartbeats of all, and to what rules watch."""
+        """Listen to the heartbeats of all, and to what rules watch; say what we have found running."""
+        if text := self._keeper.found.in_words():
+            self.context.event(Level.INFO, "taken_over", text)
         self._keeper.on_change(self._changed)
         self._apply_rules()
         self.context.subscribe(STATUS.expression(), lane="status", latest=True)
@@ -83,9 +86,16 @@ class ControlService(Service):
         except SchemaError as error:
             self.context.log.debug("a status that is none on %s: %s", item.key, error)
             return
-        self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9)
+        self._keeper.heartbeat(status.id, status.pid, item.received_mono_ns * 1e-9, status.start_id)
+        self._take_word(status)
         self._bases.heard(status, item.received_mono_ns * 1e-9)
         self._flockwave.status(status, item.received_mono_ns)
+
+    def _take_word(self, status: ServiceStatus) -> None:
+        """Remember of a solver that commands have made it run or stop, for the process that may come after it."""
+        table, running = self._deployment.solver.get(status.id), status.data.get("running")
+        if table is not None and isinstance(running, bool):
+            self._keeper.solver_told(status.id, status.pid, None if running == table.autostart else running)
 
     def tick(self, now_mono_ns: int) -> None:
         """Bring the base stations to what is wanted; let time act on the rules; try again what could not listen."""
@@ -187,10 +197,10 @@ class ControlService(Service):
         self.context.event(_LEVELS.get(state, Level.INFO), f"process_{state.lower()}", text, logged=logged, **row)
 
 
-def keeper_of(deployment: Deployment, options: LaunchOptions) -> Keeper:
+def keeper_of(deployment: Deployment, options: LaunchOptions, memory: Memory | None = None) -> Keeper:
     """Return the keeper of a deployment's fleet, not yet begun."""
     listen = deployment.hub.listen[0] if deployment.hub.enabled and deployment.hub.listen else ""
     specs = specs_of(deployment, options)
     roles = tuple(role for role in FORKED if any(spec.role is role for spec in specs))
     server = ForkServer(roles, clean_environment(os.environ, Role.SOLVER)) if roles else None
-    return Keeper(specs, deployment.control, listen, fork_server=server)
+    return Keeper(specs, deployment.control, listen, fork_server=server, memory=memory)

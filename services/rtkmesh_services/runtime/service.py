@@ -58,7 +58,10 @@ def new_start_id() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """What the runtime gives to a service. ``stopping`` is set when the process is to end."""
+    """What the runtime gives to a service. ``stopping`` is set when the process is to end.
+
+    ``running``: control replaces a process that commands had started or stopped; None: it is as its table says.
+    """
 
     id: str
     role: Role
@@ -72,6 +75,7 @@ class Context:
     config_folder: Path = Path()
     config_hash: str = ""
     data_folder: Path | None = None
+    running: bool | None = None
     stopping: threading.Event = field(default_factory=threading.Event)
     faults: Faults = field(default_factory=Faults)
     _events: Iterator[int] = field(default_factory=itertools.count)

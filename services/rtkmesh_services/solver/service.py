@@ -57,7 +57,7 @@ class SolverService(Service):
         super().__init__(context)
         table = context.deployment.solver[context.id]
         self.settings = Settings(table, self._check, self._go_on)
-        self.running = table.autostart
+        self.running = table.autostart if context.running is None else context.running
         with self._refusals():
             self.session = Session(self._session_options(table))
         self.recent, self.neighbours = Recent(), Neighbours(context.deployment, context.id)
@@ -168,9 +168,10 @@ class SolverService(Service):
                 "mode": table.mode,
                 "rover": table.rover,
                 "base": table.base,
-                "options_waiting": sum("pending" in option for option in self.settings.told("").values()),
+                "options_waiting": self.settings.waiting,
                 **self._bases.data(now_s),
                 "end": self._ended(),
+                "running": self.running,
                 **({} if newest is None else _newest_words(newest)),
                 "antennas": {**self.session.antennas, "corrected": self.session.corrects_antennas},
             },

@@ -60,6 +60,11 @@ class Settings:
         self.active = self.pending = self.configured = table
         self._check, self._go_on = check, go_on
 
+    @property
+    def waiting(self) -> int:
+        """How many options wait for a restart."""
+        return 0 if self.pending == self.active else sum("pending" in option for option in self.told("").values())
+
     def restarted(self) -> None:
         """A fresh filter has taken what was pending."""
         self.active = self.pending
