@@ -268,15 +268,6 @@ class Terminal:
 
 
 @pytest.fixture
-def solver(site: Any) -> Iterator[Solver]:
-    solver = Solver(site)
-    with site.bus("waiter") as bus:
-        site.until(lambda: "rtk" in bus.live())
-    yield solver
-    solver.close()
-
-
-@pytest.fixture
 def terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
     """A function that starts a console on a terminal; all are ended after the test."""
     made: list[Terminal] = []
