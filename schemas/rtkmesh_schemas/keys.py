@@ -99,6 +99,8 @@ STREAMS: Final = (
     Stream("sol_text", "rtk/{id}/sol/{format}", Kind.PUBLISH, (Role.SOLVER,), "", "RTKRCV's formats as text: llh xyz enu vel_enu nmea stat; only when matched"),
     Stream("sat", "rtk/{id}/sat", Kind.PUBLISH, (Role.SOLVER,), "SatellitesMessage", "per satellite and signal: residuals, slips, lock, ambiguity, C/N0, azimuth, elevation", 1.0),
     Stream("att", "rtk/{id}/att", Kind.PUBLISH, (Role.ATTITUDE,), "AttitudeMessage", "heading, pitch, roll, covariance, integrity, antennas used", None, Priority.REAL_TIME),
+    Stream("att_filtered", "rtk/{id}/att/filtered", Kind.PUBLISH, (Role.ATTITUDE,), "AttitudeMessage", "the same from its filter: predicted between epochs, with turn rates", None, Priority.REAL_TIME),
+    Stream("heading", "rtk/{id}/heading", Kind.PUBLISH, (Role.INGEST,), "HeadingMessage", "heading that the receiver computed itself", None, Priority.REAL_TIME),
     Stream("status", "rtk/{id}/status", Kind.CACHED, _ALL, "ServiceStatus", "state machine, counters, input ages, latencies; from the work loop", 1.0, cache=1),
     Stream("event", "rtk/{id}/event/{level}", Kind.CACHED, _ALL, "Event", "what happened", 0.0, cache=100),
     Stream("log", "rtk/{id}/log", Kind.PUBLISH, _ALL, "LogRecord", "what was said", 0.0, Priority.BACKGROUND),
@@ -114,6 +116,7 @@ CMD, RAW, MADE, OBS, EPH, IONO, REF, END, CREDIT, WRITE = (
     BY_NAME[n] for n in ("cmd", "raw", "made", "obs", "eph", "iono", "ref", "end", "credit", "write")
 )
 SOL, SOL_TEXT, SAT, ATT, STATUS, EVENT, LOG = (BY_NAME[n] for n in ("sol", "sol_text", "sat", "att", "status", "event", "log"))
+ATT_FILTERED, HEADING = BY_NAME["att_filtered"], BY_NAME["heading"]
 METRICS, LATEST, PRESET, FLOCKWAVE, LIVE = (BY_NAME[n] for n in ("metrics", "latest", "preset", "flockwave", "live"))
 
 STALE_PERIODS: Final = 10.0  # a stream with a nominal rate is stale after this many missing periods

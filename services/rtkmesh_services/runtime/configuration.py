@@ -17,9 +17,11 @@ from typing import Any, Final, TypeGuard, TypeVar
 import msgspec
 
 from rtkmesh_schemas.config import Deployment, SolverTable
+from rtkmesh_schemas.config_attitude import AntennaPlaceTable
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.runtime.deployment_checks import NAMED, check_deployment
+from rtkmesh_services.runtime.layout_files import antennas_of, with_antennas
 from rtkmesh_services.runtime.toml_lines import lines_of
 from rtkmesh_services.runtime.words import clip, nearest
 
@@ -116,10 +118,25 @@ def find_data_folder(given: Path | None = None) -> Path | None:
 def parse_deployment(text: str, file: str, data_folder: Path | None = None) -> Deployment:
     """Return the deployment in a TOML text; ConfigErrors names everything that is wrong in it."""
     reader = _Reader(file, text, data_folder)
-    deployment = reader.deployment()
+    deployment = _with_layouts(reader, reader.deployment())
     check_deployment(reader, deployment)
     reader.finish()
     return deployment
+
+
+def _with_layouts(reader: "_Reader", deployment: Deployment) -> Deployment:
+    """Return the deployment with the antennas of its layout files; faults in them are faults of the deployment."""
+    folder, found = Path(reader.file).parent / deployment.deployment.config_folder, dict[str, dict[str, AntennaPlaceTable]]()
+    for id, table in deployment.attitude.items():  # noqa: A001
+        if not table.layout:
+            continue
+        try:
+            layout = _Reader(table.layout, _read_below(table.layout, folder), reader.data_folder)
+            found[id] = antennas_of(layout, id)
+            reader.errors += layout.errors
+        except ConfigError as error:
+            reader.fault(("attitude", id, "layout"), f"[attitude.{id}] layout: {error}")
+    return with_antennas(deployment, found)
 
 
 def load_solver_table(name: str, config_folder: Path) -> SolverTable:

@@ -7,8 +7,10 @@ from typing import Final, Protocol
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.config import Deployment, IngestTable, OutputTable, SolverTable
+from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.errors import BadKeyError
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
+from rtkmesh_services.runtime.attitude_checks import check_attitude
 from rtkmesh_services.runtime.rule_words import RuleError, parse_rule
 from rtkmesh_services.runtime.words import clip, nearest
 
@@ -49,7 +51,8 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
             _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
         _check_solver(reader, id, solver)
     for id, table in deployment.attitude.items():  # noqa: A001
-        _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
+        _check_sources(reader, id, table)
+        check_attitude(reader.fault, id, table, deployment)
     for id, output in deployment.output.items():  # noqa: A001
         _check_output(reader, id, output)
     _check_lists(reader, deployment)
@@ -134,6 +137,16 @@ def _check_output(reader: Faults, id: str, output: OutputTable) -> None:  # noqa
             text = f"{clip(mount)!r} is no mount point: letters, digits, '_', '-', '.'"
             reader.fault(("output", id, "mounts", mount), f"[output.{id}] mounts: {text}")
         _check_reference(reader, "ingest", receiver, ("output", id, "mounts", mount))
+
+
+def _check_sources(reader: Faults, id: str, table: AttitudeTable) -> None:  # noqa: A002
+    if table.solver:
+        _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
+    for key in ("solvers", "positions"):
+        for index, name in enumerate(getattr(table, key)):
+            _check_reference(reader, "solver", name, ("attitude", id, key, str(index)))
+    for name in table.headings:
+        _check_reference(reader, "ingest", name, ("attitude", id, "headings", name))
 
 
 def _check_followed(reader: Faults, id: str, ingests: Mapping[str, IngestTable]) -> None:  # noqa: A002
