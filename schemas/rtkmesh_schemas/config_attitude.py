@@ -7,7 +7,7 @@ from msgspec import Meta
 
 Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 Place = tuple[Metres, Metres, Metres]
-Sigma = Annotated[float, Meta(ge=0.0, le=10.0)]
+LARGEST_SIGMA_M = 10.0
 PositiveM = Annotated[float, Meta(gt=0.0, lt=1e9)]
 Azimuth = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
@@ -25,7 +25,12 @@ class AntennaPlaceTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=
     """
 
     position_m: Place
-    sigma_m: Sigma | tuple[Sigma, Sigma, Sigma] = 0.0
+    sigma_m: float | tuple[float, float, float] = 0.0  # bounds are checked by the shell: msgspec 0.20 mixes those of a union up
+
+    @property
+    def sigmas_m(self) -> Place:
+        """The three sigmas."""
+        return self.sigma_m if isinstance(self.sigma_m, tuple) else (self.sigma_m, self.sigma_m, self.sigma_m)
 
 
 class BodyPointTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -14,7 +14,7 @@ from rtkmesh.attitude.rotation import NED_FROM_ENU
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.config import Deployment
-from rtkmesh_schemas.config_attitude import AntennaPlaceTable, AttitudeTable, ReceiverHeadingTable
+from rtkmesh_schemas.config_attitude import AttitudeTable, ReceiverHeadingTable
 from rtkmesh_services.attitude.matching import MatchedEpoch
 from rtkmesh_services.attitude.readings import VIRTUAL_LENGTH_M, Reading, SourceKind, SourceSpec
 
@@ -54,7 +54,7 @@ def specs_of(table: AttitudeTable, deployment: Deployment) -> tuple[SourceSpec, 
 
 def layout_of(table: AttitudeTable) -> Layout:
     """Return the antennas of a table, and two more for every heading that is not of two of them: the ends of its own line."""
-    places = {name: (antenna.position_m, _sigmas(antenna)) for name, antenna in table.antennas.items()}
+    places = {name: (antenna.position_m, antenna.sigmas_m) for name, antenna in table.antennas.items()}
     for name, heading in table.headings.items():
         if not heading.antennas:
             start, end = _ends(name, heading)
@@ -159,8 +159,3 @@ def _direction(heading: ReceiverHeadingTable) -> tuple[float, float, float]:
     azimuth, elevation = radians(heading.mounting_deg), radians(heading.mounting_pitch_deg)
     level = VIRTUAL_LENGTH_M * cos(elevation)
     return level * cos(azimuth), level * sin(azimuth), -VIRTUAL_LENGTH_M * sin(elevation)
-
-
-def _sigmas(antenna: AntennaPlaceTable) -> tuple[float, float, float]:
-    sigma = antenna.sigma_m
-    return sigma if isinstance(sigma, tuple) else (sigma, sigma, sigma)

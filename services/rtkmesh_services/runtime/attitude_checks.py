@@ -6,7 +6,7 @@ from math import dist, hypot, isclose
 from typing import Final, Protocol
 
 from rtkmesh_schemas.config import Deployment, SolverTable
-from rtkmesh_schemas.config_attitude import AntennaPlaceTable, AttitudeTable, Place
+from rtkmesh_schemas.config_attitude import LARGEST_SIGMA_M, AntennaPlaceTable, AttitudeTable, Place
 from rtkmesh_services.runtime.words import nearest
 
 SAME_PLACE_M: Final = 0.01
@@ -34,7 +34,7 @@ def check_attitude(fault: Fault, id: str, table: AttitudeTable, deployment: Depl
 
 def notes_on(id: str, table: AttitudeTable) -> Iterator[str]:  # noqa: A002
     """Yield what is no fault, and worth to know, of a table's antennas."""
-    if len(table.antennas) > 1 and on_one_line([antenna.position_m for antenna in table.antennas.values()]):
+    if len(table.antennas) > 2 and on_one_line([antenna.position_m for antenna in table.antennas.values()]):
         yield f"[attitude.{id}] its {len(table.antennas)} antennas are on one line: the tilt about it is not seen"
 
 
@@ -83,6 +83,8 @@ def _places(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[t
         if antenna not in deployment.ingest:
             there = nearest(antenna, list(deployment.ingest))
             yield ("antennas", antenna), f"antennas: no [ingest.{antenna}], whose antenna this would be{there}"
+        if not all(0.0 <= sigma <= LARGEST_SIGMA_M for sigma in table.antennas[antenna].sigmas_m):
+            yield ("antennas", antenna, "sigma_m"), f"antennas: sigma_m of {antenna!r} must be 0 to {LARGEST_SIGMA_M:.0f} m"
     for (first, one), (second, other) in combinations(table.antennas.items(), 2):
         if dist(one.position_m, other.position_m) < SAME_PLACE_M:
             yield ("antennas", second), f"antennas: {first!r} and {second!r} are at one place"
@@ -116,5 +118,4 @@ def _lengths(table: AttitudeTable, deployment: Deployment) -> Iterator[tuple[tup
 
 
 def _tolerance_m(solver: SolverTable, one: AntennaPlaceTable, other: AntennaPlaceTable) -> float:
-    sigmas = [max(s.sigma_m) if isinstance(s.sigma_m, tuple) else s.sigma_m for s in (one, other)]
-    return max(_LEAST_TOLERANCE_M, _TOLERANCE_SIGMAS * hypot(solver.baseline_sigma_m, *sigmas))
+    return max(_LEAST_TOLERANCE_M, _TOLERANCE_SIGMAS * hypot(solver.baseline_sigma_m, max(one.sigmas_m), max(other.sigmas_m)))
