@@ -16,7 +16,6 @@ from rtkmesh_services.attitude.readings import Reading
 
 TOLERANCE_S = 0.025  # instants that are the same: receivers' clocks differ by up to 1 ms
 BACK_S = 10.0  # a time so far back is another beginning
-_DUE = 0.75  # of a period after its last reading, a source is due
 _LOST_PERIODS = 3.0  # a source that has missed so many is not waited for
 _KEPT, _RECENT = 64, 8  # instants of a source that are remembered, and those that its period is taken from
 _SILENT_S = 2.0  # nor one that has been silent for so long, before its period is known
@@ -128,7 +127,7 @@ class Matcher:
         if not before or track.period_s is None:
             return True
         since_s = time - before[-1]
-        return _DUE * track.period_s <= since_s <= (_LOST_PERIODS + 0.5) * track.period_s
+        return track.period_s - TOLERANCE_S <= since_s <= (_LOST_PERIODS + 0.5) * track.period_s
 
     def _matched(self, pending: _Pending, missing: tuple[str, ...], *, whole: bool) -> MatchedEpoch:
         """Return an epoch, its readings in the sources' order: its time is that of the first of them."""

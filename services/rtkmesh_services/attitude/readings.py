@@ -17,6 +17,7 @@ from rtkmesh_schemas.errors import DecodeError
 from rtkmesh_schemas.solution import SolutionMessage
 
 FIX, FLOAT = 1, 2
+LARGEST_M, LARGEST_M2 = 1e8, 1e6  # beyond the earth, and a kilometre: no measurements (nor is NaN)
 VIRTUAL_LENGTH_M = 1.0  # of the line of antennas of a heading that says no length
 
 
@@ -110,7 +111,7 @@ def _position(source: SourceSpec, message: SolutionMessage) -> Edge | None:
 
 def _edge(source: SourceSpec, vector: Any, cov_enu_m2: tuple[float, ...]) -> Edge | None:
     """Return the edge, None unless its covariance is one."""
-    if len(cov_enu_m2) != 9 or not np.isfinite(vector).all() or not np.isfinite(cov_enu_m2).all():
+    if len(cov_enu_m2) != 9 or not np.abs(vector).max() < LARGEST_M or not np.abs(cov_enu_m2).max() < LARGEST_M2:
         return None
     cov = NED_FROM_ENU @ np.array(cov_enu_m2).reshape(3, 3) @ NED_FROM_ENU
     return Edge(source.start, source.end, vector, cov) if float(np.linalg.eigvalsh(cov)[0]) > 0.0 else None
