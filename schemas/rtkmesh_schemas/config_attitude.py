@@ -2,20 +2,16 @@
 
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta
+
+from rtkmesh_schemas.config_base import Positive, Table
 
 Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 Place = tuple[Metres, Metres, Metres]
 LARGEST_SIGMA_M = 10.0
-PositiveM = Annotated[float, Meta(gt=0.0, lt=1e9)]
 Azimuth = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
 Ids = Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=64)], ...], Meta(max_length=64)]
-
-
-class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Root of these tables."""
 
 
 class AntennaPlaceTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -82,8 +78,8 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     solver: str = ""
     mounting_deg: Azimuth = 0.0
     mounting_pitch_deg: Elevation = 0.0
-    length_m: PositiveM | None = None
-    length_tolerance_m: PositiveM = 0.05
+    length_m: Positive | None = None
+    length_tolerance_m: Positive = 0.05
     accept_float: bool = False
     solvers: Ids = ()
     positions: Ids = ()

@@ -2,6 +2,7 @@
 
 from itertools import permutations
 from math import degrees, hypot, isnan, nan, radians, sin, sqrt
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -270,7 +271,7 @@ def test_a_heading_that_contradicts_the_baselines_is_left_out() -> None:
         {"baseline_cov_enu_m2": (1e300, 0.0, 0.0, 0.0, 1e-300, 0.0, 0.0, 0.0, 1.0)},
     ],
 )
-def test_nonsense_of_a_source_is_not_used(values: dict[str, object]) -> None:
+def test_nonsense_of_a_source_is_not_used(values: dict[str, Any]) -> None:
     """The others go on; nothing raises, and nothing that is not finite is called right."""
     vehicle = Vehicle()
     for name in vehicle.baselines:
@@ -284,7 +285,7 @@ def test_bytes_and_times_that_are_none_are_counted() -> None:
     vehicle = Vehicle()
     vehicle.say("ab", vehicle.baseline("ab", -1.0))
     vehicle.say("ab", vehicle.baseline("ab", nan))
-    vehicle.service.handle(Sample("rtk/ac/sol", b"\xff\x00"))
+    vehicle.service.handle(Sample("rtk/ac/sol", b"\xff\x00", "", b"", 0))
     assert {row.name: row.errors for row in vehicle.service.report().inputs} == {"ab": 2, "ac": 1, "ad": 0}
 
 

@@ -3,10 +3,11 @@
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from math import dist, hypot, isclose
-from typing import Final, Protocol
+from typing import Final
 
 from rtkmesh_schemas.config import Deployment, SolverTable
 from rtkmesh_schemas.config_attitude import LARGEST_SIGMA_M, AntennaPlaceTable, AttitudeTable, Place
+from rtkmesh_services.runtime.file_faults import Faults
 from rtkmesh_services.runtime.words import nearest
 
 SAME_PLACE_M: Final = 0.01
@@ -16,20 +17,12 @@ _LEAST_TOLERANCE_M: Final = 0.02
 _MOUNTING: Final = ("mounting_deg", "mounting_pitch_deg", "length_m")
 
 
-class Fault(Protocol):
-    """Gathers one fault at a key (or at the nearest table above it)."""
-
-    def __call__(self, path: tuple[str, ...], message: str) -> None:
-        """Take the key and what is wrong."""
-        ...
-
-
-def check_attitude(fault: Fault, id: str, table: AttitudeTable, deployment: Deployment) -> None:  # noqa: A002  the word of the design
+def check_attitude(reader: Faults, id: str, table: AttitudeTable, deployment: Deployment) -> None:  # noqa: A002  the word of the design
     """Gather the faults of one table whose references are right."""
     if not table.sources:
-        fault(("attitude", id), f"[attitude.{id}] has no 'solver', 'solvers', 'positions' or 'headings': what it is made of")
+        reader.fault(("attitude", id), f"[attitude.{id}] has no 'solver', 'solvers', 'positions' or 'headings': what it is made of")
     for path, message in _faults(id, table, deployment):
-        fault(("attitude", id, *path), f"[attitude.{id}] {message}")
+        reader.fault(("attitude", id, *path), f"[attitude.{id}] {message}")
 
 
 def notes_on(id: str, table: AttitudeTable) -> Iterator[str]:  # noqa: A002
