@@ -60,6 +60,21 @@ class ImuTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     sigma_radps: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.005
 
 
+class AttitudeFilterTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.filter]``: the attitude goes on between and without epochs, on ``rtk/ID/att/filtered``, with turn rates.
+
+    ``publish``: at every epoch (``epochs``), or also at every sample of ``[attitude.ID.imu]`` (``gyro``). ``rate_walk_radps_rts``: how
+    quickly the vehicle starts and stops to turn (rad/s per root second). ``correlation_s``: how long errors of epochs hang together.
+    ``false_alarm``: probability of gating a good epoch. ``max_coast_s``: after so long without an epoch there is no attitude.
+    """
+
+    publish: Literal["epochs", "gyro"] = "epochs"
+    rate_walk_radps_rts: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.2
+    correlation_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.0
+    false_alarm: Annotated[float, Meta(ge=1e-9, le=0.1)] = 1e-4
+    max_coast_s: Annotated[float, Meta(gt=0.0, le=3600.0)] = 10.0
+
+
 class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude.ID]``: heading, pitch and roll of a vehicle from its antennas.
 
@@ -92,6 +107,7 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     false_alarm: Annotated[float, Meta(ge=1e-9, le=0.1)] = 1e-3
     unseen_tilt_deg: Annotated[float, Meta(ge=0.1, le=90.0)] = 10.0
     imu: ImuTable | None = None
+    filter: AttitudeFilterTable | None = None
 
     @property
     def sources(self) -> tuple[str, ...]:

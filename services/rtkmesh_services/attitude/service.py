@@ -2,18 +2,21 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from math import inf, radians
+from math import degrees, inf, radians
 from typing import Any, ClassVar
 
+from rtkmesh.attitude.filter_options import Outcome
 from rtkmesh.gnss.integrity import Integrity
+from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
 from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.errors import DecodeError, VersionError
-from rtkmesh_schemas.keys import ATT, HEADING, SOL, Role
+from rtkmesh_schemas.keys import ATT, ATT_FILTERED, HEADING, SOL, Role
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.body import Body, BodyAttitude, specs_of
+from rtkmesh_services.attitude.filtering import Filtering
 from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher
 from rtkmesh_services.attitude.messages import body_message
 from rtkmesh_services.attitude.one_baseline import attitude_message, mounting_of
@@ -42,7 +45,10 @@ class AttitudeService(Service):
         self._points = {name: point.position_m for name, point in self._table.points.items()}
         wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if any(t.replay for t in context.deployment.ingest.values()) else self._table.wait_s
         self._matcher = Matcher(tuple(self._specs), wait_s, slowest=self._table.rate == "slowest")
-        self._sequence = 0
+        self._filtering = Filtering(self._table, self._table.filter, self._unseen_rad) if self._body and self._table.filter else None
+        self._imu = "" if self._table.imu is None else self._table.imu.key
+        self._at_gyro = self._table.filter is not None and self._table.filter.publish == "gyro"
+        self._sequence = self._filtered = 0
         self._messages: Counter[str] = Counter()
         self._errors: Counter[str] = Counter()
         self._heard_s: dict[str, float] = {}
@@ -58,10 +64,15 @@ class AttitudeService(Service):
         for name in self._specs:
             stream = HEADING if name in self._table.headings else SOL
             self.context.subscribe(stream.key(name), lane="sol")
+        if self._imu:
+            self.context.subscribe(self._imu, lane="imu")
 
     def handle(self, item: Any) -> None:
         """Take one message of a source; publish the attitudes that are complete with it."""
         if not isinstance(item, Sample):
+            return
+        if item.key == self._imu:
+            self._take_gyro(item)
             return
         self._arrived_ns = self.context.clock.mono_ns()
         spec = self._specs[item.key.split("/")[1]]
@@ -88,7 +99,7 @@ class AttitudeService(Service):
         return Report(
             state=state,
             reason=reason,
-            inputs=[self._input(name) for name in self._specs],
+            inputs=[self._input(name) for name in self._specs] + self._imu_input(),
             counters=self._counters(),
             latencies={"latency": self._latency_ms, "publish": self._published_ms},
             last_epoch=None if last is None else (last.week, last.tow_s),
@@ -119,6 +130,7 @@ class AttitudeService(Service):
             message = body_message(found, self._body.layout, self._points, self._unseen_rad, **self._identity())
             self._tell(found, message)
             self._publish(message)
+            self._filter(found, message)
             if not epoch.whole:
                 self._counts["deadlines"] += 1
 
@@ -130,6 +142,36 @@ class AttitudeService(Service):
         self._published_ms.add(now_ns, (now_ns - self._arrived_ns) * 1e-6)
         if message.received_mono_ns:
             self._latency_ms.add(now_ns, (now_ns - message.received_mono_ns) * 1e-6)
+
+    def _filter(self, found: BodyAttitude, message: AttitudeMessage) -> None:
+        """Give an epoch to the filter and publish what it says of this instant; that it began anew is told."""
+        if self._filtering is None:
+            return
+        update = self._filtering.epoch(found)
+        if update is not None and update.outcome is Outcome.RESET:
+            jump_deg = degrees(update.jump_rad)
+            text = f"the attitude filter began anew: by {jump_deg:.1f} deg ({update.why.value})"
+            self.context.event(Level.WARNING, "attitude_reset", text, jump_deg=jump_deg)
+        self._publish_filtered(found.time, message)
+
+    def _take_gyro(self, item: Sample) -> None:
+        if self._filtering is None:
+            return
+        self._messages[self._imu] += 1
+        try:
+            time = self._filtering.gyro(item.payload, item.encoding)
+        except DecodeError:
+            self._errors[self._imu] += 1
+            return
+        if self._at_gyro and self._last is not None:
+            self._publish_filtered(time, self._last)
+
+    def _publish_filtered(self, time: GpsTime, epoch: AttitudeMessage) -> None:
+        assert self._filtering is not None, "there is a filter"
+        now_ns = self.context.clock.mono_ns()
+        identity = {"sequence": self._filtered, "published_mono_ns": now_ns}
+        self._filtered += 1
+        self.context.bus.publish(ATT_FILTERED, self._filtering.message(time, epoch, **identity))
 
     def _tell(self, found: BodyAttitude, message: AttitudeMessage) -> None:
         """Tell when the antennas are others than those of the last attitude."""
@@ -166,9 +208,16 @@ class AttitudeService(Service):
             name=name, state=state, detail=detail, messages=self._messages[name], age_s=age_s, errors=self._errors[name], counters=counters
         )
 
+    def _imu_input(self) -> list[InputStatus]:
+        if not self._imu:
+            return []
+        messages, errors = self._messages[self._imu], self._errors[self._imu]
+        return [InputStatus(name=self._imu, state="receiving" if messages else "waiting", detail="gyro", messages=messages, errors=errors)]
+
     def _counters(self) -> dict[str, int]:
         matched = {"late": self._matcher.late.total(), "between": self._matcher.skipped, "restarts": self._matcher.restarts}
-        return {**self._counts, **{name: count for name, count in matched.items() if count}}
+        filtered = {} if self._filtering is None else {f"filter_{name}": count for name, count in self._filtering.counts.items()}
+        return {**self._counts, **filtered, **{name: count for name, count in matched.items() if count}}
 
     def _health(self) -> tuple[State, str]:
         age_s = min((self._now_s() - heard_s for heard_s in self._heard_s.values()), default=None)

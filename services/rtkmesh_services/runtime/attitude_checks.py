@@ -47,6 +47,12 @@ def _off_line(place: Place, start: Place, end: Place) -> float:
 
 def _faults(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[tuple[tuple[str, ...], str]]:  # noqa: A002
     yield from _modes(table, deployment)
+    if table.filter is None and table.imu is not None:
+        yield ("imu",), f"imu is for a filter: write [attitude.{id}.filter]"
+    if table.filter is not None and table.filter.publish == "gyro" and table.imu is None:
+        yield ("filter", "publish"), f"filter: publish = 'gyro' needs [attitude.{id}.imu]"
+    if table.filter is not None and not (table.antennas or table.headings):
+        yield ("filter",), f"filter needs the places of the antennas: write [attitude.{id}.antennas.NAME]"
     if not (table.antennas or table.solvers or table.positions or table.headings):
         return
     yield from _places(id, table, deployment)

@@ -219,6 +219,7 @@ class _Reader:
                 made = msgspec.convert(rest, kind, strict=True)
             except msgspec.ValidationError as error:
                 inner, at = _location(str(error))
+                at = _with_names(rest, kind, at)
                 missing = _MISSING.search(str(error))
                 if missing is None or len(self.errors) == first:
                     self._explain(kind, str(error), inner, (*path, *at), missing)
@@ -321,6 +322,27 @@ def _location(text: str) -> tuple[str | None, tuple[str, ...]]:
     match, unknown = _AT.search(text), _UNKNOWN.search(text)
     chunks = re.findall(r"\.([A-Za-z0-9_]+)|\[(\d+|\.\.\.)\]", match["path"]) if match else []
     return (unknown["name"] if unknown else None), tuple(name or index for name, index in chunks)
+
+
+def _with_names(table: dict[str, Any], kind: type[msgspec.Struct], path: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the path of a fault with the names of its tables, where msgspec says ``...``: the first one that is at fault alone."""
+    for depth in (index for index, chunk in enumerate(path) if chunk == "..."):
+        rows = _at(table, path[:depth])
+        name = next((name for name in rows if _is_faulty(table, kind, path[:depth], name)), "...") if _is_table(rows) else "..."
+        path = (*path[:depth], name, *path[depth + 1 :])
+    return path
+
+
+def _is_faulty(table: dict[str, Any], kind: type[msgspec.Struct], path: tuple[str, ...], name: str) -> bool:
+    """Return whether a table has a fault below a path when it has only one of the tables there."""
+    alone = _copied(table)
+    above: dict[str, Any] = _at(alone, path[:-1])
+    above[path[-1]] = {name: above[path[-1]][name]}
+    try:
+        msgspec.convert(alone, kind, strict=True)
+    except msgspec.ValidationError as error:
+        return _location(str(error))[1][: len(path)] == path
+    return False
 
 
 def _removed(table: dict[str, Any], path: tuple[str, ...], inner: str | None) -> bool:
