@@ -5,7 +5,7 @@ plumb line of a resting accelerometer. Angles have no seam at 180 deg: everythin
 Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter"; seed_systems.md 2.2 for what it must not do.
 """
 
-from math import isfinite, sqrt
+from math import hypot, isfinite, sqrt
 from typing import Final
 
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude import error_state
 from rtkmesh.attitude.baseline import Mounting
-from rtkmesh.attitude.error_state import GYRO_JACOBIAN, RATE, TURN, State
-from rtkmesh.attitude.estimation import chi_square_of
+from rtkmesh.attitude.error_state import RATE, TURN, State
+from rtkmesh.attitude.estimation import chi_square_of, square
 from rtkmesh.attitude.filter_options import TRUSTED, Estimate, FilterOptions, Outcome, Trust, Update, Why, nothing
 from rtkmesh.attitude.innovation import Azimuth, Innovation, Measurement, Plumb, of_direction, of_fit
 from rtkmesh.attitude.keeper import Keeper
@@ -130,10 +130,7 @@ class RotationModel:
 
     def gyro_chi_square(self, state: State, rate_body_radps: Vector, sigma_radps: float) -> tuple[float, int]:
         """Return how far a sample is beyond what the vehicle may do."""
-        value = rate_body_radps - state.rate_body_radps - state.bias_radps
-        noise = (sigma_radps**2 + self._options.rate_sigma_radps**2) * np.eye(3)
-        cov = GYRO_JACOBIAN @ state.cov @ GYRO_JACOBIAN.T + noise
-        return float(value @ np.linalg.solve(cov, value)), 3
+        return square(*error_state.gyro_innovation(state, rate_body_radps, hypot(sigma_radps, self._options.rate_sigma_radps))), 3
 
     def with_gyro(self, state: State, rate_body_radps: Vector, sigma_radps: float) -> State:
         """Return the state after a gyro's sample."""
