@@ -1,7 +1,7 @@
 """The heading of a vehicle that drives forward, from its velocity."""
 
 from dataclasses import dataclass
-from math import atan2, hypot, pi, radians, sqrt
+from math import atan2, hypot, inf, pi, radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ def course(velocity_enu_mps: Vector, cov_enu: Matrix, options: CourseOptions) ->
     """
     east, north = float(velocity_enu_mps[0]), float(velocity_enu_mps[1])
     speed = hypot(east, north)
-    if not speed >= options.min_speed_mps:
+    if not options.min_speed_mps <= speed < inf:
         return None
     gradient = np.array([north, -east]) / speed**2
     variance = float(gradient @ cov_enu[:2, :2] @ gradient) + options.sideslip_sigma_rad**2

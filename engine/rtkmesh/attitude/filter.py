@@ -5,6 +5,7 @@ plumb line of a resting accelerometer. Angles have no seam at 180 deg: everythin
 Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter"; seed_systems.md 2.2 for what it must not do.
 """
 
+from dataclasses import replace
 from math import hypot, isfinite, sqrt
 from typing import Final
 
@@ -124,9 +125,10 @@ class RotationModel:
         """Return the state after a measurement."""
         return error_state.levelled(error_state.corrected(state, innovation), self._options)
 
-    def restarted(self, state: State, innovation: Innovation, *, bias: bool) -> State:
+    def restarted(self, state: State, innovation: Innovation, drift_ned_radps: Vector, *, bias: bool) -> State:
         """Return the state made to agree."""
-        return error_state.restarted(state, innovation, self._options, bias=bias)
+        restarted = error_state.restarted(state, innovation, self._options, bias=bias)
+        return replace(restarted, rate_body_radps=restarted.rate_body_radps + restarted.ned_from_body.T @ drift_ned_radps)
 
     def gyro_chi_square(self, state: State, rate_body_radps: Vector, sigma_radps: float) -> tuple[float, int]:
         """Return how far a sample is beyond what the vehicle may do."""

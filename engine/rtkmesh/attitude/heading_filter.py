@@ -141,14 +141,15 @@ class HeadingModel:
         walk = state.walk if state.time_s - state.gyro_s < GYRO_TELLS_S else learned_walk(state.walk, mean_square)
         return _moved(replace(state, measured_s=state.time_s, walk=walk), step, cov)
 
-    def restarted(self, state: HeadingState, innovation: Innovation, *, bias: bool) -> HeadingState:
+    def restarted(self, state: HeadingState, innovation: Innovation, drift_ned_radps: Vector, *, bias: bool) -> HeadingState:
         """Return the state made to agree."""
         opened = self.reopened(state)
         cov = np.diag([float(innovation.noise[0, 0]), float(opened.cov[1, 1]), float(opened.cov[2, 2])])
         if bias:
             cov[2, 2] = self._options.bias_sigma_radps**2
         heading = (state.heading_rad + float(innovation.turn_ned[2])) % (2.0 * pi)
-        return replace(opened, measured_s=state.time_s, heading_rad=heading, cov=cov)
+        rate = state.rate_radps + float(drift_ned_radps[2])
+        return replace(opened, measured_s=state.time_s, heading_rad=heading, rate_radps=rate, cov=cov)
 
     def gyro_chi_square(self, state: HeadingState, rate_body_radps: Vector, sigma_radps: float) -> tuple[float, int]:
         """Return how far a sample is beyond what the vehicle may do."""
