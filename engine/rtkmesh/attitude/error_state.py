@@ -8,13 +8,13 @@ Source: J. Sola, "Quaternion kinematics for the error-state Kalman filter", sect
 """
 
 from dataclasses import dataclass, replace
-from math import exp
+from math import exp, inf
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.attitude.estimation import updated
+from rtkmesh.attitude.estimation import GYRO_TELLS_S, learned_walk, updated
 from rtkmesh.attitude.filter_options import FilterOptions
 from rtkmesh.attitude.innovation import Innovation, turn_between
 from rtkmesh.attitude.rotation import rotation_of, skew
@@ -30,7 +30,10 @@ _I3, _I9 = np.eye(3), np.eye(9)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """Everything that the filter knows at ``time_s``. ``measured_s``: when a rotation (not a gyro) was last used."""
+    """Everything that the filter knows at ``time_s``.
+
+    ``measured_s``: when a rotation (not a gyro) was last used; ``gyro_s``: when a gyro was; ``walk``: learned factor of the rate's walk.
+    """
 
     time_s: float
     measured_s: float
@@ -38,6 +41,8 @@ class State:
     rate_body_radps: Vector
     bias_radps: Vector
     cov: Matrix
+    walk: float = 1.0
+    gyro_s: float = -inf
 
 
 def unaligned(time_s: float, start: Matrix, options: FilterOptions) -> State:
@@ -58,13 +63,13 @@ def propagated(state: State, time_s: float, options: FilterOptions) -> State:
     transition = _I9.copy()
     transition[TURN, RATE] = dt * middle
     transition[BIAS, BIAS] = decay * _I3
-    cov = transition @ state.cov @ transition.T + _walked(dt, middle, decay, options)
-    return State(time_s, state.measured_s, middle @ half, state.rate_body_radps, decay * state.bias_radps, cov)
+    cov = transition @ state.cov @ transition.T + _walked(dt, middle, decay, state.walk, options)
+    return replace(state, time_s=time_s, ned_from_body=middle @ half, bias_radps=decay * state.bias_radps, cov=cov)
 
 
-def _walked(dt: float, middle: Matrix, decay: float, options: FilterOptions) -> Matrix:
+def _walked(dt: float, middle: Matrix, decay: float, walk: float, options: FilterOptions) -> Matrix:
     """Return the covariance (9x9) that a time ``dt`` adds."""
-    q = options.rate_walk_radps_rts**2
+    q = (walk * options.rate_walk_radps_rts) ** 2
     added = np.zeros((9, 9))
     added[TURN, TURN] = (q * dt**3 / 3.0) * _I3
     added[TURN, RATE] = (q * dt**2 / 2.0) * middle
@@ -77,14 +82,23 @@ def _walked(dt: float, middle: Matrix, decay: float, options: FilterOptions) -> 
 def corrected(state: State, innovation: Innovation) -> State:
     """Return the state after a measurement of its rotation, at the state's own time."""
     jacobian = np.hstack([innovation.jacobian, np.zeros((len(innovation.value), 6))])
-    moved = _moved(state, *updated(state.cov, jacobian, innovation.noise, innovation.value))
-    return replace(moved, measured_s=state.time_s)
+    step, cov, mean_square = updated(state.cov, jacobian, innovation.noise, innovation.value)
+    walk = state.walk if state.time_s - state.gyro_s < GYRO_TELLS_S else learned_walk(state.walk, mean_square)
+    return _moved(replace(state, measured_s=state.time_s, walk=walk), step, cov)
 
 
 def with_gyro(state: State, rate_body_radps: Vector, sigma_radps: float) -> State:
     """Return the state after a gyro's sample (rad/s, body), at the state's own time."""
     value = rate_body_radps - state.rate_body_radps - state.bias_radps
-    return _moved(state, *updated(state.cov, GYRO_JACOBIAN, sigma_radps**2 * _I3, value))
+    step, cov, mean_square = updated(state.cov, GYRO_JACOBIAN, sigma_radps**2 * _I3, value)
+    return _moved(replace(state, gyro_s=state.time_s, walk=learned_walk(state.walk, mean_square)), step, cov)
+
+
+def gyro_innovation(state: State, rate_body_radps: Vector, sigma_radps: float) -> tuple[Vector, Matrix]:
+    """Return a gyro's sample minus the predicted one (rad/s, body) and the covariance (3x3) of that."""
+    across, p = state.cov[RATE, BIAS], state.cov
+    cov = p[RATE, RATE] + p[BIAS, BIAS] + across + across.T + sigma_radps**2 * _I3
+    return rate_body_radps - state.rate_body_radps - state.bias_radps, cov
 
 
 def _moved(state: State, step: Vector, cov: Matrix) -> State:
@@ -94,7 +108,9 @@ def _moved(state: State, step: Vector, cov: Matrix) -> State:
     turned = _I3 + 0.5 * skew(step[TURN])
     cov[TURN, :] = turned @ cov[TURN, :]
     cov[:, TURN] = cov[:, TURN] @ turned.T
-    return State(state.time_s, state.measured_s, rotation, state.rate_body_radps + step[RATE], state.bias_radps + step[BIAS], cov)
+    return replace(
+        state, ned_from_body=rotation, rate_body_radps=state.rate_body_radps + step[RATE], bias_radps=state.bias_radps + step[BIAS], cov=cov
+    )
 
 
 def levelled(state: State, options: FilterOptions) -> State:
@@ -116,7 +132,8 @@ def levelled(state: State, options: FilterOptions) -> State:
 def _level_about(state: State, axis_ned: Vector, variance_rad2: float) -> State:
     turn = turn_between(state.ned_from_body[:, 2], _DOWN)
     jacobian = np.concatenate([axis_ned, np.zeros(6)])[None, :]
-    return _moved(state, *updated(state.cov, jacobian, np.array([[variance_rad2]]), np.array([axis_ned @ turn])))
+    step, cov, _ = updated(state.cov, jacobian, np.array([[variance_rad2]]), np.array([axis_ned @ turn]))
+    return _moved(state, step, cov)
 
 
 def reopened(state: State, options: FilterOptions, *, bias: bool) -> State:
@@ -138,7 +155,7 @@ def restarted(state: State, innovation: Innovation, options: FilterOptions, *, b
     cov[TURN, :], cov[:, TURN] = 0.0, 0.0
     cov[TURN, TURN] = turn
     rotation = rotation_of(innovation.turn_ned) @ state.ned_from_body
-    return levelled(State(state.time_s, state.time_s, rotation, state.rate_body_radps, state.bias_radps, cov), options)
+    return levelled(replace(opened, measured_s=state.time_s, ned_from_body=rotation, cov=cov), options)
 
 
 def moved_to(state: State, time_s: float, longest_s: float, options: FilterOptions) -> State:

@@ -5,7 +5,8 @@ plumb line of a resting accelerometer. Angles have no seam at 180 deg: everythin
 Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter"; seed_systems.md 2.2 for what it must not do.
 """
 
-from math import isfinite, sqrt
+from dataclasses import replace
+from math import hypot, isfinite, sqrt
 from typing import Final
 
 import numpy as np
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude import error_state
 from rtkmesh.attitude.baseline import Mounting
-from rtkmesh.attitude.error_state import GYRO_JACOBIAN, RATE, TURN, State
-from rtkmesh.attitude.estimation import chi_square_of
+from rtkmesh.attitude.error_state import RATE, TURN, State
+from rtkmesh.attitude.estimation import chi_square_of, square
 from rtkmesh.attitude.filter_options import TRUSTED, Estimate, FilterOptions, Outcome, Trust, Update, Why, nothing
 from rtkmesh.attitude.innovation import Azimuth, Innovation, Measurement, Plumb, of_direction, of_fit
 from rtkmesh.attitude.keeper import Keeper
@@ -124,16 +125,14 @@ class RotationModel:
         """Return the state after a measurement."""
         return error_state.levelled(error_state.corrected(state, innovation), self._options)
 
-    def restarted(self, state: State, innovation: Innovation, *, bias: bool) -> State:
+    def restarted(self, state: State, innovation: Innovation, drift_ned_radps: Vector, *, bias: bool) -> State:
         """Return the state made to agree."""
-        return error_state.restarted(state, innovation, self._options, bias=bias)
+        restarted = error_state.restarted(state, innovation, self._options, bias=bias)
+        return replace(restarted, rate_body_radps=restarted.rate_body_radps + restarted.ned_from_body.T @ drift_ned_radps)
 
     def gyro_chi_square(self, state: State, rate_body_radps: Vector, sigma_radps: float) -> tuple[float, int]:
         """Return how far a sample is beyond what the vehicle may do."""
-        value = rate_body_radps - state.rate_body_radps - state.bias_radps
-        noise = (sigma_radps**2 + self._options.rate_sigma_radps**2) * np.eye(3)
-        cov = GYRO_JACOBIAN @ state.cov @ GYRO_JACOBIAN.T + noise
-        return float(value @ np.linalg.solve(cov, value)), 3
+        return square(*error_state.gyro_innovation(state, rate_body_radps, hypot(sigma_radps, self._options.rate_sigma_radps))), 3
 
     def with_gyro(self, state: State, rate_body_radps: Vector, sigma_radps: float) -> State:
         """Return the state after a gyro's sample."""

@@ -27,20 +27,22 @@ class Kind(StrEnum):
 class FilterOptions:
     """How a filter is tuned.
 
-    ``rate_walk_radps_rts``: random walk of the body's rate (rad/s per root second), per axis: how quickly the vehicle starts and stops
-    to turn; ``rate_sigma_radps``: of the rate at the start. ``bias_sigma_radps`` and ``bias_time_s``: how large gyro biases are and for
-    how long they stay. ``level_sigma_rad``: how level the vehicle is while nothing measures it. ``correlation_s``: for how long errors
-    of measurements hang together. ``false_alarm``: probability of gating a good measurement; after ``persistence`` gated ones in a row
-    that agree with each other the filter starts anew from the last. ``max_coast_s``, ``max_heading_sigma_rad``,
-    ``max_tilt_sigma_rad``: without a measurement for longer, or less sure than that, there is no attitude. ``max_measured_sigma_rad``:
-    measurements that say less are refused. ``history_s``: how late an input may be and still take its place.
+    ``rate_walk_radps_rts``: random walk of the body's rate (rad/s per root second), per axis: how quickly the vehicle starts and stops to
+    turn, for a start: the filter learns it; ``rate_sigma_radps``: of the rate at the start. ``bias_sigma_radps`` and
+    ``bias_walk_radps_rts``: how large gyro biases are, and how quickly they walk. ``level_sigma_rad``: how level the vehicle is while
+    nothing measures it. ``correlation_s``: for how long errors of measurements hang together. ``false_alarm``: probability of gating a
+    good measurement; after ``persistence`` gated ones in a row that agree with each other the filter starts anew from the last.
+    ``accept_float``, ``accept_unchecked``: whether measurements without fixed integers, or whose integrity is unavailable, are used.
+    ``max_coast_s``, ``max_heading_sigma_rad``, ``max_tilt_sigma_rad``: without a measurement for longer, or less sure than that, there
+    is no attitude. ``max_measured_sigma_rad``: measurements that say less are refused. ``history_s``: how late an input may be and
+    still take its place. ``stuck_samples``: so many equal samples in a row, and a gyro is stuck.
     """
 
     kind: Kind = Kind.ROTATION
     rate_walk_radps_rts: float = 0.2
     rate_sigma_radps: float = 0.5
     bias_sigma_radps: float = 0.02
-    bias_time_s: float = 1800.0
+    bias_walk_radps_rts: float = 1e-4
     level_sigma_rad: float = radians(10.0)
     correlation_s: float = 0.0
     false_alarm: float = 1e-4
@@ -63,6 +65,11 @@ class FilterOptions:
             raise OptionError(f"false_alarm = {self.false_alarm}: it must be below 1")
         if self.persistence < 2 or self.stuck_samples < 2:
             raise OptionError("persistence and stuck_samples of an attitude filter must be 2 or more: a single one never decides")
+
+    @property
+    def bias_time_s(self) -> float:
+        """The time constant with which a bias of this size walks so."""
+        return 2.0 * (self.bias_sigma_radps / self.bias_walk_radps_rts) ** 2
 
 
 _MAY_BE_ZERO: Final = ("correlation_s", "history_s")

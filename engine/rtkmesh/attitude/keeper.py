@@ -65,8 +65,8 @@ class Model(Protocol[S]):
         """Return the state after a measurement."""
         ...
 
-    def restarted(self, state: S, innovation: Innovation, *, bias: bool) -> S:
-        """Return the state made to agree with a measurement; ``bias``: its gyro's bias is in doubt, too."""
+    def restarted(self, state: S, innovation: Innovation, drift_ned_radps: Vector, *, bias: bool) -> S:
+        """Return the state made to agree with a measurement, its rate changed by a drift; ``bias``: its gyro's is in doubt, too."""
         ...
 
     def gyro_chi_square(self, state: S, rate_body_radps: Vector, sigma_radps: float) -> tuple[float, int]:
@@ -165,7 +165,7 @@ class Keeper(Generic[S]):
         if state is None or innovation is None:
             self._origin = None
             return Update(Outcome.REFUSED, Why.NOT_ALIGNED if state is None else Why.VERTICAL)
-        self._timeline = Timeline(self._model.restarted(state, innovation, bias=True), self._options.history_s)
+        self._timeline = Timeline(self._model.restarted(state, innovation, np.zeros(3), bias=True), self._options.history_s)
         return Update(Outcome.STARTED)
 
     def _judged(self, before: S, time_s: float, measurement: Measurement, trust: Trust) -> Update:
@@ -197,7 +197,9 @@ class Keeper(Generic[S]):
         innovation = self._model.innovation(state, measurement)
         if innovation is None:
             return Update(Outcome.REFUSED, Why.VERTICAL)
-        self._timeline = Timeline(self._model.restarted(state, innovation, bias=why is Why.INNOVATION), self._options.history_s)
+        doubted = why is Why.INNOVATION
+        drift = self._doubts.drift_ned_radps if doubted else np.zeros(3)
+        self._timeline = Timeline(self._model.restarted(state, innovation, drift, bias=doubted), self._options.history_s)
         self._doubts.clear()
         self._late, self._late_s = 0, -np.inf
         self.resets += 1
@@ -223,27 +225,35 @@ class Keeper(Generic[S]):
 
 
 class Doubts:
-    """Gated measurements in a row, and whether they agree with each other."""
+    """Gated measurements in a row, and whether they agree with each other: off by the same turn, or by one that grows steadily."""
 
     def __init__(self, options: FilterOptions) -> None:
         self._options = options
         self._count, self._time_s = 0, 0.0
-        self._turn, self._variance = np.zeros(3), 0.0
+        self._turn, self._variance, self._drift = np.zeros(3), 0.0, np.zeros(3)
 
     def clear(self) -> None:
         """Forget them: the filter and a measurement agree."""
         self._count = 0
 
+    @property
+    def drift_ned_radps(self) -> Vector:
+        """By how much the filter's rate is wrong, as they show it; 0 when not clearly more than it may be."""
+        return self._drift if float(np.linalg.norm(self._drift)) > self._options.rate_sigma_radps else np.zeros(3)
+
     def enough(self, innovation: Innovation, time_s: float) -> bool:
         """Count one more, and return whether they overrule the filter."""
-        variance = float(np.trace(innovation.noise))
-        agreeing = self._count > 0 and self._agrees(innovation, variance, time_s)
-        self._count = self._count + 1 if agreeing else 1
+        variance, since_s = float(np.trace(innovation.noise)), time_s - self._time_s
+        if self._count == 0 or since_s <= 0.0:
+            self._count, self._drift = 1, np.zeros(3)
+        else:
+            growth = vector_of(rotation_of(innovation.turn_ned) @ rotation_of(self._turn).T)
+            self._count = self._count + 1 if self._count == 1 or self._steady(growth, variance, since_s) else 2
+            self._drift = growth / since_s
         self._turn, self._variance, self._time_s = innovation.turn_ned, variance, time_s
         return self._count >= self._options.persistence
 
-    def _agrees(self, innovation: Innovation, variance: float, time_s: float) -> bool:
-        """Whether it is off by the same turn as the one before, but for noise and for a rate that the filter has wrong."""
-        between = vector_of(rotation_of(innovation.turn_ned) @ rotation_of(self._turn).T)
-        allowed = _AGREEING_SIGMAS * sqrt(variance + self._variance) + self._options.rate_sigma_radps * abs(time_s - self._time_s)
-        return float(np.linalg.norm(between)) <= allowed
+    def _steady(self, growth: Vector, variance: float, since_s: float) -> bool:
+        """Whether the turn grew as before, but for the noise of three measurements and for a change of the rate."""
+        allowed = _AGREEING_SIGMAS * sqrt(3.0 * (variance + self._variance)) + self._options.rate_sigma_radps * since_s
+        return float(np.linalg.norm(growth - self._drift * since_s)) <= allowed
