@@ -63,11 +63,13 @@ class ImuTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class AttitudeFilterTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude.ID.filter]``: the attitude goes on between and without epochs, on ``rtk/ID/att/filtered``, with turn rates.
 
-    ``publish``: at every epoch (``epochs``), or also at every sample of ``[attitude.ID.imu]`` (``gyro``). ``rate_walk_radps_rts``: how
-    quickly the vehicle starts and stops to turn (rad/s per root second). ``correlation_s``: how long errors of epochs hang together.
-    ``false_alarm``: probability of gating a good epoch. ``max_coast_s``: after so long without an epoch there is no attitude.
+    ``kind``: of the whole ``rotation``, or of the ``heading`` alone. ``publish``: at every epoch (``epochs``), or also at every sample
+    of ``[attitude.ID.imu]`` (``gyro``). ``rate_walk_radps_rts``: how quickly the vehicle starts and stops to turn (rad/s per root
+    second). ``correlation_s``: how long errors of epochs hang together. ``false_alarm``: probability of gating a good epoch.
+    ``max_coast_s``: after so long without an epoch there is no attitude.
     """
 
+    kind: Literal["rotation", "heading"] = "rotation"
     publish: Literal["epochs", "gyro"] = "epochs"
     rate_walk_radps_rts: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.2
     correlation_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.0

@@ -27,7 +27,7 @@ BOW = "\n[attitude.boat.points.bow]\nposition_m = [1.0, 0.6, -2.0]\n"
 def shipped(name: str) -> str:
     """Return a deployment's text without its hub."""
     text = (CONFIG / name).read_text()
-    return text[text.index("[ingest.") :]
+    return text[text.index("\n[ingest.") :]
 
 
 def attitudes(deployment: Deployment, name: str) -> list[AttitudeMessage]:

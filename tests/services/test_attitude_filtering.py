@@ -77,6 +77,17 @@ def test_a_jump_is_gated_and_one_that_stays_is_told() -> None:
     assert vehicle.service.report().counters["filter_epochs_reset"] == 1
 
 
+def test_the_scalar_heading_filter_is_a_choice() -> None:
+    """It has a heading and its rate, and no tilt."""
+    vehicle = Vehicle(filter=AttitudeFilterTable(kind="heading"))
+    for index in range(5):
+        vehicle.epoch(10.0 + 0.2 * index)
+    last = vehicle.attitudes(ATT_FILTERED)[-1]
+    assert degrees(last.heading_rad) == pytest.approx(300.0, abs=0.1)
+    assert isnan(last.roll_rad)
+    assert last.integrity == "ok"
+
+
 def test_times_of_a_gyro() -> None:
     """GPS time, or seconds since 1970."""
     rate = [0.1, 0.2, 0.3]

@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rtkmesh.attitude.filter import AttitudeFilter
-from rtkmesh.attitude.filter_options import Estimate, FilterOptions, Trust, Update
+from rtkmesh.attitude.filter_options import Estimate, FilterOptions, Kind, Trust, Update
+from rtkmesh.attitude.heading_filter import filter_of
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import NAN4, NAN9, AttitudeMessage
@@ -27,7 +27,7 @@ class Filtering:
     """The filter of one attitude process and its figures."""
 
     def __init__(self, table: AttitudeTable, options: AttitudeFilterTable, unseen_sigma_rad: float) -> None:
-        self._filter = AttitudeFilter(options_of(options, table, unseen_sigma_rad))
+        self._filter = filter_of(options_of(options, table, unseen_sigma_rad))
         self._sigma_radps = 0.0 if table.imu is None else table.imu.sigma_radps
         self._unseen_rad = unseen_sigma_rad
         self.counts: Counter[str] = Counter()
@@ -70,6 +70,7 @@ class Filtering:
 def options_of(table: AttitudeFilterTable, attitude: AttitudeTable, unseen_sigma_rad: float) -> FilterOptions:
     """Return the engine's options of a table."""
     return FilterOptions(
+        kind=Kind(table.kind),
         rate_walk_radps_rts=table.rate_walk_radps_rts,
         correlation_s=table.correlation_s,
         false_alarm=table.false_alarm,
