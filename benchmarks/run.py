@@ -52,6 +52,7 @@ BENCHMARKS = (
     Benchmark("dive", "dive.py", "After dives, RTKLIB on the same bytes", ("--quick",), recordings=False),
     Benchmark("directions", "directions.py", "Forward, backward and combined, beside RTKLIB's", ("--quick",)),
     Benchmark("heading", "heading.py", "How a heading repeats, beside RTKLIB's", ("--quick",)),
+    Benchmark("attitude_age", "attitude_age.py", "What an old base does to a heading, beside RTKLIB's", ("--quick",), recordings=False),
     Benchmark("attitude", "attitude.py", "Two, three and four simulated antennas against the truth", ("--quick",), recordings=False),
     Benchmark("attitude_filter", "attitude_filter.py", "Attitude filters: errors, honesty, outages", ("--quick",), recordings=False),
     Benchmark("sigmas", "sigmas.py", "Covariances against errors", ("--quick",)),
