@@ -6,15 +6,18 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pynmeagps
 import pytest
 from tests.services.attitude_body import ANGLES_RAD, ECEF_FROM_ENU, ORIGIN_ECEF_M, SQUARE, WEEK, Vehicle
 
 from rtkmesh.attitude.rotation import NED_FROM_ENU, rotation_of_angles, rotation_of_quaternion
 from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
 from rtkmesh_schemas.config_attitude import BodyPointTable, ReceiverHeadingTable
+from rtkmesh_schemas.keys import ATT_NMEA
 from rtkmesh_schemas.status import State
 from rtkmesh_services.attitude.matching import Matcher
 from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.memory_bus import MemoryBus
 
 DOWN = np.array([0.0, 0.0, 2.0])
 
@@ -287,6 +290,18 @@ def test_bytes_and_times_that_are_none_are_counted() -> None:
     vehicle.say("ab", vehicle.baseline("ab", nan))
     vehicle.service.handle(Sample("rtk/ac/sol", b"\xff\x00", "", b"", 0))
     assert {row.name: row.errors for row in vehicle.service.report().inputs} == {"ab": 2, "ac": 1, "ad": 0}
+
+
+def test_nmea_is_said_to_who_listens() -> None:
+    """HDT and THS by their published form; without a heading THS says V and HDT nothing: no north of nowhere."""
+    vehicle = Vehicle()
+    vehicle.epoch(10.0)
+    assert not vehicle.bus.sent(ATT_NMEA), "nobody listens"
+    MemoryBus("listener", vehicle.network).subscribe(ATT_NMEA.key("body"), lambda _: None)
+    vehicle.epoch(11.0)
+    vehicle.epoch(12.0, without=("ab", "ac", "ad"))
+    lines = [pynmeagps.NMEAReader.parse(line) for sample in vehicle.bus.sent(ATT_NMEA) for line in sample.payload.splitlines(keepends=True)]
+    assert [(line.msgID, line.payload) for line in lines] == [("HDT", ["300.000", "T"]), ("THS", ["300.000", "A"]), ("THS", ["", "V"])]
 
 
 def test_an_empty_matcher_is_never_due() -> None:

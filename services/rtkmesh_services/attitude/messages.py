@@ -1,6 +1,6 @@
 """Attitudes of bodies as messages."""
 
-from math import degrees, nan
+from math import degrees, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from rtkmesh.attitude.integrity import Finding
 from rtkmesh.attitude.joint import angles_covariance, length_m, point_of, rotation_covariance
 from rtkmesh.attitude.rigid_body import Fit, Layout, Shape
 from rtkmesh.attitude.rotation import NED_FROM_ENU, quaternion_of
+from rtkmesh.codecs.nmea_encode import hdt, ths
 from rtkmesh.gnss.frames import geodetic_from_ecef
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh_schemas.attitude import NAN9, AttitudeMessage, BodyPoint
@@ -82,6 +83,12 @@ def reason_of(found: BodyAttitude) -> str:
     said = [_WORDS[verdict.finding].format(suspects=", ".join(verdict.suspects))] if verdict.finding in _WORDS else []
     said += [f"without {name}, which is at fault" for name in verdict.excluded]
     return "; ".join([*said, *found.missing.values()])
+
+
+def nmea_of(message: AttitudeMessage) -> str:
+    """Return the heading as NMEA sentences: HDT, only of an attitude that passed its tests, and THS, which says V without one."""
+    heading_deg = degrees(message.heading_rad) if message.integrity == Integrity.OK.value else nan
+    return (hdt(heading_deg) if isfinite(heading_deg) else "") + ths(heading_deg)
 
 
 def _fit_fields(fit: Fit | None, unseen_sigma_rad: float) -> dict[str, Any]:

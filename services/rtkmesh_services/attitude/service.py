@@ -11,14 +11,14 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
 from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.errors import DecodeError, VersionError
-from rtkmesh_schemas.keys import ATT, ATT_FILTERED, HEADING, SOL, Role
+from rtkmesh_schemas.keys import ATT, ATT_FILTERED, ATT_NMEA, HEADING, SOL, Role
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.body import Body, BodyAttitude, specs_of
 from rtkmesh_services.attitude.filtering import Filtering
 from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher
-from rtkmesh_services.attitude.messages import body_message
+from rtkmesh_services.attitude.messages import body_message, nmea_of
 from rtkmesh_services.attitude.one_baseline import attitude_message, mounting_of
 from rtkmesh_services.attitude.readings import Reading, SourceSpec, of_heading, of_solution
 from rtkmesh_services.runtime.bus import Sample
@@ -61,6 +61,7 @@ class AttitudeService(Service):
     def open(self) -> None:
         """Subscribe to the sources."""
         self._opened_s = self._now_s()
+        self.context.bus.matched(ATT_NMEA)  # declares it: listeners are known before the first attitude
         for name in self._specs:
             stream = HEADING if name in self._table.headings else SOL
             self.context.subscribe(stream.key(name), lane="sol")
@@ -138,6 +139,8 @@ class AttitudeService(Service):
         self._last = message
         self._counts[f"attitudes_{message.integrity}"] += 1
         self.context.bus.publish(ATT, message)
+        if self.context.bus.matched(ATT_NMEA):
+            self.context.bus.publish(ATT_NMEA, nmea_of(message))
         now_ns = self.context.clock.mono_ns()
         self._published_ms.add(now_ns, (now_ns - self._arrived_ns) * 1e-6)
         if message.received_mono_ns:
