@@ -79,7 +79,8 @@ class Score:
 
     def row(self, antennas: int) -> Row:
         """Return the figures."""
-        rms = np.degrees(np.sqrt(np.nanmean(np.square(self.errors_rad), axis=0))) if self.errors_rad else np.full(3, np.nan)
+        errors = np.array(self.errors_rad).reshape(-1, 3)
+        rms = np.array([np.degrees(np.sqrt(np.mean(e**2))) if np.isfinite(e).any() else np.nan for e in errors.T])
         return {
             "antennas": antennas,
             "epochs": self.epochs,
