@@ -16,9 +16,9 @@ from rtkmesh.attitude import error_state
 from rtkmesh.attitude.baseline import Mounting
 from rtkmesh.attitude.error_state import RATE, TURN, State
 from rtkmesh.attitude.estimation import chi_square_of, square
+from rtkmesh.attitude.filter_inputs import AHEAD, FilterInputs, finite_fit
 from rtkmesh.attitude.filter_options import TRUSTED, Estimate, FilterOptions, Outcome, Trust, Update, Why, nothing
-from rtkmesh.attitude.innovation import Azimuth, Innovation, Measurement, Plumb, of_direction, of_fit
-from rtkmesh.attitude.keeper import Keeper
+from rtkmesh.attitude.innovation import Innovation, Measurement, Plumb, of_direction, of_fit
 from rtkmesh.attitude.rigid_body import Fit
 from rtkmesh.gnss.time import GpsTime
 
@@ -27,36 +27,19 @@ Matrix = NDArray[np.float64]
 
 _GRAVITY_MPS2: Final = 9.81
 _RESTING_MPS2: Final = 0.5  # specific force further from gravity than this is an acceleration, too
-AHEAD: Final = Mounting()
 
 
-class AttitudeFilter:
+class AttitudeFilter(FilterInputs[State]):
     """Attitude along time, from what measures it and what measures its rate."""
 
     def __init__(self, options: FilterOptions) -> None:
-        self._options = options
-        self._keeper: Keeper[State] = Keeper(RotationModel(options), options)
-        self._stuck = StuckGyro(options.stuck_samples)
-
-    @property
-    def resets(self) -> int:
-        """How often it started anew; each was told by its update."""
-        return self._keeper.resets
-
-    def gyro(self, time: GpsTime, rate_body_radps: Vector, sigma_radps: float) -> Update:
-        """Take the rate (rad/s; forward, right, down) of a gyro with the sigma of a sample's noise, per axis."""
-        objection = self._stuck.objection(rate_body_radps, sigma_radps)
-        return self._keeper.gyro(time, rate_body_radps, sigma_radps) if objection is Why.OK else Update(Outcome.REFUSED, objection)
+        super().__init__(RotationModel(options), options)
 
     def rotation(self, time: GpsTime, fit: Fit, trust: Trust = TRUSTED) -> Update:
         """Take a rigid-body fit; of antennas on one line only the two directions that it sees."""
         if not finite_fit(fit):
             return Update(Outcome.REFUSED, Why.INVALID)
         return self._keeper.measure(time, of_fit(fit), trust)
-
-    def heading(self, time: GpsTime, azimuth_rad: float, sigma_rad: float, mounting: Mounting = AHEAD, trust: Trust = TRUSTED) -> Update:
-        """Take the azimuth (rad, clockwise from north) of a baseline that is mounted so; by default the vehicle's heading itself."""
-        return self._keeper.measure(time, Azimuth(mounting, azimuth_rad, sigma_rad), trust)
 
     def direction(
         self, time: GpsTime, azimuth_rad: float, elevation_rad: float, cov_rad2: Matrix, mounting: Mounting = AHEAD, trust: Trust = TRUSTED
@@ -77,12 +60,9 @@ class AttitudeFilter:
 
     def predicted(self, time: GpsTime) -> Estimate:
         """Return the attitude at a time: from the last state before it, turned at its rate."""
-        before, time_s, why = self._keeper.state_at(time)
+        before, time_s, age_s, why = self._fresh(time)
         if before is None:
-            return nothing(why)
-        age_s = time_s - before.measured_s
-        if age_s > self._options.max_coast_s:
-            return nothing(Why.GAP, age_s)
+            return nothing(why, age_s)
         state = error_state.levelled(error_state.propagated(before, time_s, self._options), self._options)
         cov = state.cov[TURN, TURN].copy()
         if not self._sure(cov):
@@ -141,25 +121,3 @@ class RotationModel:
     def reopened(self, state: State) -> State:
         """Return the state with its rate unsure."""
         return error_state.reopened(state, self._options, bias=False)
-
-
-class StuckGyro:
-    """Whether a gyro says anything: equal values in a row are none; the first other one is believed again."""
-
-    def __init__(self, samples: int) -> None:
-        self._samples, self._equal = samples, 0
-        self._last = np.full(3, np.nan)
-
-    def objection(self, rate_body_radps: Vector, sigma_radps: float) -> Why:
-        """Return why a sample is not to be used, or OK."""
-        if not (bool(np.all(np.isfinite(rate_body_radps))) and isfinite(sigma_radps) and sigma_radps > 0.0):
-            return Why.INVALID
-        self._equal = self._equal + 1 if np.array_equal(rate_body_radps, self._last) else 1
-        self._last = rate_body_radps.copy()
-        return Why.STUCK if self._equal >= self._samples else Why.OK
-
-
-def finite_fit(fit: Fit) -> bool:
-    """Whether all that a filter takes of a fit is finite."""
-    unseen = fit.unseen_ned if fit.unseen_ned is not None else np.zeros(3)
-    return all(bool(np.all(np.isfinite(part))) for part in (fit.ned_from_body, fit.cov[:3, :3], unseen))

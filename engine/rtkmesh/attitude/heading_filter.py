@@ -11,12 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.attitude.baseline import Mounting
 from rtkmesh.attitude.estimation import GYRO_TELLS_S, chi_square_of, learned_walk, updated
-from rtkmesh.attitude.filter import AHEAD, AttitudeFilter, StuckGyro, finite_fit
+from rtkmesh.attitude.filter import AttitudeFilter
+from rtkmesh.attitude.filter_inputs import FilterInputs, finite_fit
 from rtkmesh.attitude.filter_options import TRUSTED, Estimate, FilterOptions, Kind, Outcome, Trust, Update, Why, nothing
-from rtkmesh.attitude.innovation import Azimuth, Innovation, Measurement
-from rtkmesh.attitude.keeper import Keeper
+from rtkmesh.attitude.innovation import Innovation, Measurement
 from rtkmesh.attitude.rigid_body import Fit
 from rtkmesh.attitude.rotation import angles_of, rotation_of_angles
 from rtkmesh.gnss.time import GpsTime
@@ -41,23 +40,11 @@ class HeadingState:
     gyro_s: float = -inf
 
 
-class HeadingFilter:
+class HeadingFilter(FilterInputs[HeadingState]):
     """Heading along time; pitch and roll are taken as level within ``level_sigma_rad``."""
 
     def __init__(self, options: FilterOptions) -> None:
-        self._options = options
-        self._keeper: Keeper[HeadingState] = Keeper(HeadingModel(options), options)
-        self._stuck = StuckGyro(options.stuck_samples)
-
-    @property
-    def resets(self) -> int:
-        """How often it started anew; each was told by its update."""
-        return self._keeper.resets
-
-    def gyro(self, time: GpsTime, rate_body_radps: Vector, sigma_radps: float) -> Update:
-        """Take the rate (rad/s; forward, right, down) of a gyro, of which the last counts, with a sample's sigma."""
-        objection = self._stuck.objection(rate_body_radps, sigma_radps)
-        return self._keeper.gyro(time, rate_body_radps, sigma_radps) if objection is Why.OK else Update(Outcome.REFUSED, objection)
+        super().__init__(HeadingModel(options), options)
 
     def yaw_increment(self, start: GpsTime, end: GpsTime, increment_rad: float, sigma_rad: float) -> Update:
         """Take by how much an IMU's own yaw grew (rad, clockwise) from one of its times to the next: the mean rate, at mid-time."""
@@ -74,18 +61,11 @@ class HeadingFilter:
         heading_rad, _, _ = angles_of(fit.ned_from_body)
         return self.heading(time, heading_rad, sqrt(max(0.0, float(fit.cov[2, 2]))), trust=trust)
 
-    def heading(self, time: GpsTime, azimuth_rad: float, sigma_rad: float, mounting: Mounting = AHEAD, trust: Trust = TRUSTED) -> Update:
-        """Take the azimuth (rad, clockwise from north) of a baseline that is mounted so; by default the vehicle's heading itself."""
-        return self._keeper.measure(time, Azimuth(mounting, azimuth_rad, sigma_rad), trust)
-
     def predicted(self, time: GpsTime) -> Estimate:
         """Return the attitude at a time: from the last state before it, turned at its rate; level."""
-        before, time_s, why = self._keeper.state_at(time)
+        before, time_s, age_s, why = self._fresh(time)
         if before is None:
-            return nothing(why)
-        age_s = time_s - before.measured_s
-        if age_s > self._options.max_coast_s:
-            return nothing(Why.GAP, age_s)
+            return nothing(why, age_s)
         state = propagated(before, time_s, self._options)
         if sqrt(float(state.cov[0, 0])) > self._options.max_heading_sigma_rad:
             return nothing(Why.SIGMA, age_s)
