@@ -129,6 +129,11 @@ def plain_options(mode: str, systems: str, frequencies: int, ambiguities: str) -
     return _PLAIN + "pos2-gloarmode=off\n" + "".join(f"{name}={value}\n" for name, value in chosen.items())
 
 
+def converted(log: Path, folder: Path) -> tuple[Path, list[Path]]:
+    """Return a receiver's log as RINEX observations, and the navigation files that came out of it."""
+    return _converted(log, _FORMATS[log.suffix], "", folder)
+
+
 def _rinex(recording: Path, date: str, folder: Path) -> tuple[Path, list[Path]]:
     """Return a recording as RINEX observations, and the navigation files that came out of it."""
     plain = recording

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.config_base import NotNegative, Positive, Systems, Table
 from rtkmesh_schemas.config_flockwave import FlockwaveTable
 from rtkmesh_schemas.config_output import OutputTable
@@ -219,21 +220,6 @@ class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     dynamics: DynamicsTable = DynamicsTable()
     ambiguity: AmbiguityTable = AmbiguityTable()
     integrity: IntegrityTable = IntegrityTable()
-
-
-class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[attitude.ID]``: heading and pitch of a baseline, from a moving-base solver.
-
-    ``mounting_deg``: azimuth of the baseline (base to rover antenna) in the vehicle frame, clockwise from the nose; 0: the rover antenna
-    is ahead of the base antenna. ``length_m``: known antenna distance; a fix further off than ``length_tolerance_m`` fails integrity.
-    """
-
-    solver: str
-    mounting_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
-    mounting_pitch_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 0.0
-    length_m: Positive | None = None
-    length_tolerance_m: Positive = 0.05
-    accept_float: bool = False
 
 
 class RecorderTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -101,6 +101,9 @@ STREAMS: Final = (
     Stream("text", "rtk/{id}/text", Kind.PUBLISH, (Role.OUTPUT,), "", "an output's text as its table wants it (target zenoh://), an epoch a message; attachment: the header"),
     Stream("screen", "rtk/{id}/screen/{word}", Kind.PUBLISH, (Role.SOLVER,), "", "what RTKRCV's console shows, as text: status satellite observ navidata stream at 1 Hz, solution per epoch, error when it occurs; only when matched"),
     Stream("att", "rtk/{id}/att", Kind.PUBLISH, (Role.ATTITUDE,), "AttitudeMessage", "heading, pitch, roll, covariance, integrity, antennas used", None, Priority.REAL_TIME),
+    Stream("att_filtered", "rtk/{id}/att/filtered", Kind.PUBLISH, (Role.ATTITUDE,), "AttitudeMessage", "the same from its filter: predicted between epochs, with turn rates", None, Priority.REAL_TIME),
+    Stream("att_nmea", "rtk/{id}/att/nmea", Kind.PUBLISH, (Role.ATTITUDE,), "", "the heading as NMEA HDT and THS, text; THS says V where there is none; only when matched"),
+    Stream("heading", "rtk/{id}/heading", Kind.PUBLISH, (Role.INGEST,), "HeadingMessage", "heading that the receiver computed itself", None, Priority.REAL_TIME),
     Stream("status", "rtk/{id}/status", Kind.CACHED, _ALL, "ServiceStatus", "state machine, counters, input ages, latencies; from the work loop", 1.0, cache=1),
     Stream("event", "rtk/{id}/event/{level}", Kind.CACHED, _ALL, "Event", "what happened", 0.0, cache=100),
     Stream("log", "rtk/{id}/log", Kind.PUBLISH, _ALL, "LogRecord", "what was said", 0.0, Priority.BACKGROUND),
@@ -118,6 +121,7 @@ CMD, RAW, MADE, OBS, EPH, IONO, REF, END, CREDIT, WRITE = (
 SOL, SOL_TEXT, SAT, SCREEN, TEXT, ATT, STATUS, EVENT, LOG = (
     BY_NAME[n] for n in ("sol", "sol_text", "sat", "screen", "text", "att", "status", "event", "log")
 )
+ATT_FILTERED, ATT_NMEA, HEADING = (BY_NAME[n] for n in ("att_filtered", "att_nmea", "heading"))
 METRICS, LATEST, PRESET, FLOCKWAVE, LIVE = (BY_NAME[n] for n in ("metrics", "latest", "preset", "flockwave", "live"))
 
 STALE_PERIODS: Final = 10.0  # a stream with a nominal rate is stale after this many missing periods

@@ -5,7 +5,7 @@ from typing import Any, Final
 import msgspec
 
 from rtkmesh_schemas import flockwave
-from rtkmesh_schemas.attitude import AttitudeMessage
+from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
 from rtkmesh_schemas.base import BasePosition, SurveyStatus
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import Deployment
@@ -25,6 +25,7 @@ MESSAGES: Final[dict[str, type[Wire]]] = {
         EndOfStream,
         EphemerisMessage,
         Event,
+        HeadingMessage,
         IonosphereMessage,
         LogRecord,
         Metrics,

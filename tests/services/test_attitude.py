@@ -7,9 +7,9 @@ import msgspec
 import pytest
 
 from rtkmesh.attitude.baseline import Mounting
-from rtkmesh_schemas.config import AttitudeTable
+from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.solution import SolutionMessage
-from rtkmesh_services.attitude.service import attitude_message
+from rtkmesh_services.attitude.one_baseline import attitude_message
 
 IDENTITY = {"source": "heading", "start_id": "x", "sequence": 0}
 

@@ -2,7 +2,7 @@
 
 import gzip
 from dataclasses import replace
-from math import nan, radians
+from math import degrees, nan, radians
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,10 @@ from rtkmesh.gnss.receiver import (
     SurveyIn,
 )
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh_schemas.attitude import HeadingMessage
 from rtkmesh_schemas.config import Deployment, IngestTable
 from rtkmesh_schemas.keys import EVENT, STATUS, Role
+from rtkmesh_schemas.keys import HEADING as HEADING_KEY
 from rtkmesh_schemas.status import Event, Level, ServiceStatus
 from rtkmesh_schemas.wire import decode, encode
 from rtkmesh_services.ingest.links import Chunk
@@ -193,6 +195,18 @@ def test_headings_of_every_kind_of_receiver_are_shown_alike(life: Lifecycle, sou
     assert heading["heading_deg"] == pytest.approx(123.5, abs=1e-3)
     assert heading["valid"] is True
     assert heading["solution"] == (None if source in ("HDT", "THS") else "FIXED")
+
+
+@pytest.mark.parametrize("source", sorted(OTHER_HEADINGS))
+def test_headings_of_every_kind_of_receiver_are_published(life: Lifecycle, source: str):
+    """On a key of their own, for attitudes: numbered, with the message's name."""
+    in_status(life, OTHER_HEADINGS[source])
+    bus = life.context.bus
+    assert isinstance(bus, MemoryBus)
+    last = bus.sent(HEADING_KEY)[-1]
+    heading = decode(HeadingMessage, last.payload, last.encoding)
+    assert (heading.message, heading.valid, heading.sequence) == (source, True, len(bus.sent(HEADING_KEY)) - 1)
+    assert degrees(heading.heading_rad) == pytest.approx(123.5, abs=1e-3)
 
 
 def test_satellites_of_nmea_are_summed_up(life: Lifecycle):

@@ -76,6 +76,26 @@ def test_heading_30_degrees_is_yaw_60_and_nose_up_is_negative_pitch() -> None:
     assert orientation.covariance[0] == pytest.approx((pi / 2) ** 2)
 
 
+def test_the_whole_attitude_has_its_quaternion_rates_and_every_covariance() -> None:
+    """Signs of (heading, nose up, roll) to (roll, FLU pitch, ENU yaw), by the derivative of each."""
+    cov = ((4.0, 0.5, 0.3), (0.5, 9.0, 0.7), (0.3, 0.7, 16.0))
+    orientation = orientation_of(
+        attitude(
+            roll_rad=radians(-3.0),
+            covariance_rad2=tuple(value for row in cov for value in row),
+            quaternion_enu_from_flu=(0.5, -0.5, 0.5, -0.5),
+            rate_radps=(0.1, 0.2, 0.3),
+            rate_cov_rad2ps2=(1.0, 2.0, 3.0, 2.0, 4.0, 5.0, 3.0, 5.0, 6.0),
+        )
+    )
+    assert orientation is not None
+    assert orientation.quaternion == (-0.5, 0.5, -0.5, 0.5)
+    assert orientation.covariance == (16.0, -0.7, -0.3, -0.7, 9.0, 0.5, -0.3, 0.5, 4.0)
+    assert orientation.rate == (0.1, -0.2, -0.3)
+    assert orientation.rate_covariance == (1.0, -2.0, -3.0, -2.0, 4.0, 5.0, -3.0, 5.0, 6.0)
+    assert orientation_of(attitude()).rate is None  # pyright: ignore[reportOptionalMemberAccess]  it has one
+
+
 @pytest.mark.parametrize("changes", [{"integrity": "failed"}, {"integrity": "unavailable", "yaw_enu_rad": nan}])
 def test_an_attitude_without_integrity_is_not_published(changes: dict[str, object]) -> None:
     assert orientation_of(attitude(**changes)) is None

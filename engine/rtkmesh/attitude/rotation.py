@@ -27,11 +27,16 @@ def skew(v: Vector) -> Matrix:
 
 def rotation_of(vector_rad: Vector) -> Matrix:
     """Return the rotation (3x3) about a vector's direction by its length (rad): Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector_rad))
-    k = skew(vector_rad)
-    if angle < _SMALL_RAD:
-        return np.eye(3) + k + 0.5 * k @ k
-    return np.eye(3) + (sin(angle) / angle) * k + ((1.0 - cos(angle)) / angle**2) * (k @ k)
+    x, y, z = vector_rad.tolist()
+    angle = sqrt(x * x + y * y + z * z)
+    a, b = (1.0, 0.5) if angle < _SMALL_RAD else (sin(angle) / angle, (1.0 - cos(angle)) / angle**2)
+    return np.array(
+        [
+            [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
+        ]
+    )
 
 
 def vector_of(rotation: Matrix) -> Vector:

@@ -1,30 +1,37 @@
-"""The attitude role: a moving-base solver's baselines in, heading and tilt with covariance and integrity out."""
+"""The attitude role: baselines, positions and headings of a vehicle's antennas in, its attitude with covariance and integrity out."""
 
 from collections import Counter
-from math import isfinite, nan, radians
+from collections.abc import Iterable
+from math import degrees, inf, radians
 from typing import Any, ClassVar
 
-import numpy as np
-
-from rtkmesh.attitude.baseline import BaselineAttitude, Integrity, Mounting, baseline_attitude, length_error_m, length_integrity
-from rtkmesh_schemas.attitude import AttitudeMessage
-from rtkmesh_schemas.config import AttitudeTable
+from rtkmesh.attitude.filter_options import Outcome
+from rtkmesh.gnss.integrity import Integrity
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
+from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.errors import DecodeError, VersionError
-from rtkmesh_schemas.keys import ATT, SOL, Role
+from rtkmesh_schemas.keys import ATT, ATT_FILTERED, ATT_NMEA, HEADING, SOL, Role
 from rtkmesh_schemas.solution import SolutionMessage
-from rtkmesh_schemas.status import InputStatus, State
+from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
+from rtkmesh_services.attitude.body import Body, BodyAttitude, specs_of
+from rtkmesh_services.attitude.filtering import Filtering
+from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher
+from rtkmesh_services.attitude.messages import body_message, nmea_of
+from rtkmesh_services.attitude.one_baseline import attitude_message, mounting_of
+from rtkmesh_services.attitude.readings import Reading, SourceSpec, of_heading, of_solution
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.service import Context, Report, Service
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 
-FIX, FLOAT = 1, 2
 STALE_S = 5.0
 FIRST_S = 15.0  # the same for the first solution: the solver has to start
+REPLAY_WAIT_S = 10.0  # a replay is worth waiting for what a loaded machine brings late
 
 
 class AttitudeService(Service):
-    """Heading and one tilt angle of one baseline."""
+    """Attitude of one vehicle. A table without places of antennas is one baseline, each of whose solutions is an attitude."""
 
     role: ClassVar[Role] = Role.ATTITUDE
 
@@ -32,119 +39,200 @@ class AttitudeService(Service):
         super().__init__(context)
         self._table: AttitudeTable = context.deployment.attitude[context.id]
         self._mounting = mounting_of(self._table)
-        solver = context.deployment.solver.get(self._table.solver)
-        self._antennas = [] if solver is None else [solver.base, solver.rover]
-        self._sequence = self._errors = 0
-        self._heard_s: float | None = None
+        self._unseen_rad = radians(self._table.unseen_tilt_deg)
+        self._specs = {spec.id: spec for spec in specs_of(self._table, context.deployment)}
+        self._body = Body(self._table, tuple(self._specs.values())) if self._table.antennas or not self._table.solver else None
+        self._points = {name: point.position_m for name, point in self._table.points.items()}
+        wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if any(t.replay for t in context.deployment.ingest.values()) else self._table.wait_s
+        self._matcher = Matcher(tuple(self._specs), wait_s, slowest=self._table.rate == "slowest")
+        self._filtering = Filtering(self._table, self._table.filter, self._unseen_rad) if self._body and self._table.filter else None
+        self._imu = "" if self._table.imu is None else self._table.imu.key
+        self._at_gyro = self._table.filter is not None and self._table.filter.publish == "gyro"
+        self._sequence = self._filtered = 0
+        self._messages: Counter[str] = Counter()
+        self._errors: Counter[str] = Counter()
+        self._heard_s: dict[str, float] = {}
+        self._arrived_ns = 0
         self._opened_s = 0.0
         self._last: AttitudeMessage | None = None
         self._counts: Counter[str] = Counter()
-        self._latency_ms = RollingQuantiles()
+        self._latency_ms, self._published_ms = RollingQuantiles(), RollingQuantiles()
 
     def open(self) -> None:
-        """Subscribe to the solver."""
+        """Subscribe to the sources."""
         self._opened_s = self._now_s()
-        self.context.subscribe(SOL.key(self._table.solver), lane="sol")
+        self.context.bus.matched(ATT_NMEA)  # declares it: listeners are known before the first attitude
+        for name in self._specs:
+            stream = HEADING if name in self._table.headings else SOL
+            self.context.subscribe(stream.key(name), lane="sol")
+        if self._imu:
+            self.context.subscribe(self._imu, lane="imu")
 
     def handle(self, item: Any) -> None:
-        """Turn one solution into an attitude."""
+        """Take one message of a source; publish the attitudes that are complete with it."""
         if not isinstance(item, Sample):
             return
-        self._heard_s = self._now_s()
-        try:
-            solution = decode(SolutionMessage, item.payload, item.encoding)
-        except (DecodeError, VersionError):
-            self._errors += 1
+        if item.key == self._imu:
+            self._take_gyro(item)
             return
-        now_ns = self.context.clock.mono_ns()
-        message = attitude_message(solution, self._table, self._mounting, self._antennas, self._identity(now_ns))
-        self._last = message
-        self._counts[message.integrity] += 1
-        if solution.received_mono_ns:
-            self._latency_ms.add(now_ns, (now_ns - solution.received_mono_ns) * 1e-6)
-        self.context.bus.publish(ATT, message)
+        self._arrived_ns = self.context.clock.mono_ns()
+        spec = self._specs[item.key.split("/")[1]]
+        self._heard_s[spec.id] = self._now_s()
+        self._messages[spec.id] += 1
+        try:
+            self._take(spec, item)
+        except (DecodeError, VersionError):
+            self._errors[spec.id] += 1
+
+    def tick(self, now_mono_ns: int) -> None:
+        """Publish the attitudes that have waited for long enough."""
+        self._publish_all(self._matcher.ready(now_mono_ns * 1e-9))
+
+    def due_mono_ns(self) -> float:
+        """Return when the next attitude has waited for long enough."""
+        due_s = self._matcher.due_s()
+        return due_s * 1e9 if due_s < inf else inf
 
     def report(self) -> Report:
-        """Tell how old the input is and how the attitudes were."""
-        age_s = None if self._heard_s is None else self._now_s() - self._heard_s
-        state, reason = self._health(age_s)
+        """Tell how old the inputs are and how the attitudes were."""
+        state, reason = self._health()
         last = self._last
         return Report(
             state=state,
             reason=reason,
-            inputs=[InputStatus(name=self._table.solver, state=state.value, messages=self._sequence, age_s=age_s, errors=self._errors)],
-            counters={f"attitudes_{name}": count for name, count in self._counts.items()},
-            latencies={"latency": self._latency_ms},
+            inputs=[self._input(name) for name in self._specs] + self._imu_input(),
+            counters=self._counters(),
+            latencies={"latency": self._latency_ms, "publish": self._published_ms},
             last_epoch=None if last is None else (last.week, last.tow_s),
         )
 
-    def _identity(self, now_ns: int) -> dict[str, Any]:
-        identity = {"source": self.context.id, "start_id": self.context.start_id, "sequence": self._sequence, "published_mono_ns": now_ns}
+    def _take(self, spec: SourceSpec, item: Sample) -> None:
+        if self._body is None:
+            solution = decode(SolutionMessage, item.payload, item.encoding)
+            antennas = [spec.start, spec.end]
+            self._publish(attitude_message(solution, self._table, self._mounting, antennas, self._identity()))
+            return
+        reading = self._reading(self._body, spec, item)
+        if reading is None:
+            self._counts["untimed"] += 1
+            return
+        self._publish_all(self._matcher.take(reading, self._now_s()))
+
+    def _reading(self, body: Body, spec: SourceSpec, item: Sample) -> Reading | None:
+        if spec.heading is None:
+            return of_solution(spec, decode(SolutionMessage, item.payload, item.encoding), accept_float=self._table.accept_float)
+        message = decode(HeadingMessage, item.payload, item.encoding)
+        return of_heading(spec, message, body.length_m(spec), self._unseen_rad)
+
+    def _publish_all(self, epochs: Iterable[MatchedEpoch]) -> None:
+        for epoch in epochs:
+            assert self._body is not None, "only bodies have epochs"
+            found = self._body.attitude(epoch)
+            message = body_message(found, self._body.layout, self._points, self._unseen_rad, **self._identity())
+            self._tell(found, message)
+            self._publish(message)
+            self._filter(found, message)
+            if not epoch.whole:
+                self._counts["deadlines"] += 1
+
+    def _publish(self, message: AttitudeMessage) -> None:
+        self._last = message
+        self._counts[f"attitudes_{message.integrity}"] += 1
+        self.context.bus.publish(ATT, message)
+        if self.context.bus.matched(ATT_NMEA):
+            self.context.bus.publish(ATT_NMEA, nmea_of(message))
+        now_ns = self.context.clock.mono_ns()
+        self._published_ms.add(now_ns, (now_ns - self._arrived_ns) * 1e-6)
+        if message.received_mono_ns:
+            self._latency_ms.add(now_ns, (now_ns - message.received_mono_ns) * 1e-6)
+
+    def _filter(self, found: BodyAttitude, message: AttitudeMessage) -> None:
+        """Give an epoch to the filter and publish what it says of this instant; that it began anew is told."""
+        if self._filtering is None:
+            return
+        update = self._filtering.epoch(found)
+        if update is not None and update.outcome is Outcome.RESET:
+            jump_deg = degrees(update.jump_rad)
+            text = f"the attitude filter began anew: by {jump_deg:.1f} deg ({update.why.value})"
+            self.context.event(Level.WARNING, "attitude_reset", text, jump_deg=jump_deg)
+        self._publish_filtered(found.time, message)
+
+    def _take_gyro(self, item: Sample) -> None:
+        if self._filtering is None:
+            return
+        self._messages[self._imu] += 1
+        try:
+            time = self._filtering.gyro(item.payload, item.encoding)
+        except DecodeError:
+            self._errors[self._imu] += 1
+            return
+        if self._at_gyro and self._last is not None:
+            self._publish_filtered(time, self._last)
+
+    def _publish_filtered(self, time: GpsTime, epoch: AttitudeMessage) -> None:
+        assert self._filtering is not None, "there is a filter"
+        now_ns = self.context.clock.mono_ns()
+        identity = {"sequence": self._filtered, "published_mono_ns": now_ns}
+        self._filtered += 1
+        self.context.bus.publish(ATT_FILTERED, self._filtering.message(time, epoch, **identity))
+
+    def _tell(self, found: BodyAttitude, message: AttitudeMessage) -> None:
+        """Tell when the antennas are others than those of the last attitude."""
+        before = None if self._last is None else (self._last.antennas_used, self._last.antennas_excluded)
+        if before == (message.antennas_used, message.antennas_excluded):
+            return
+        count, of = len(message.antennas_used), len(message.antennas)
+        text = f"attitude from {count} of {of} antennas" + (f": {message.reason}" if message.reason else "")
+        level = Level.INFO if count == of else Level.WARNING
+        used, excluded = list(found.used), list(found.judged.excluded)
+        self.context.event(level, "antennas_changed", text, used=used, excluded=excluded, missing=found.missing)
+
+    def _identity(self) -> dict[str, Any]:
+        now_ns = self.context.clock.mono_ns()
         self._sequence += 1
-        return identity
+        return {
+            "source": self.context.id,
+            "start_id": self.context.start_id,
+            "sequence": self._sequence - 1,
+            "published_mono_ns": now_ns,
+            "waited_ms": (now_ns - self._arrived_ns) * 1e-6,
+        }
 
     def _now_s(self) -> float:
         return self.context.clock.mono_ns() * 1e-9
 
-    def _health(self, age_s: float | None) -> tuple[State, str]:
+    def _input(self, name: str) -> InputStatus:
+        age_s = None if name not in self._heard_s else self._now_s() - self._heard_s[name]
+        state = "waiting" if age_s is None else "silent" if age_s > STALE_S else "receiving"
+        late = self._matcher.late[name]
+        counters = {"late": late} if late else {}
+        detail = self._specs[name].kind.value
+        return InputStatus(
+            name=name, state=state, detail=detail, messages=self._messages[name], age_s=age_s, errors=self._errors[name], counters=counters
+        )
+
+    def _imu_input(self) -> list[InputStatus]:
+        if not self._imu:
+            return []
+        messages, errors = self._messages[self._imu], self._errors[self._imu]
+        return [InputStatus(name=self._imu, state="receiving" if messages else "waiting", detail="gyro", messages=messages, errors=errors)]
+
+    def _counters(self) -> dict[str, int]:
+        matched = {"late": self._matcher.late.total(), "between": self._matcher.skipped, "restarts": self._matcher.restarts}
+        filtered = {} if self._filtering is None else {f"filter_{name}": count for name, count in self._filtering.counts.items()}
+        return {**self._counts, **filtered, **{name: count for name, count in matched.items() if count}}
+
+    def _health(self) -> tuple[State, str]:
+        age_s = min((self._now_s() - heard_s for heard_s in self._heard_s.values()), default=None)
+        names = ", ".join(self._specs)
         if age_s is None and self._now_s() - self._opened_s <= FIRST_S:
-            return State.RUNNING, f"waiting for {self._table.solver}"
+            return State.RUNNING, f"waiting for {names}"
         if age_s is None or age_s > STALE_S:
-            return State.STALE, f"no solutions from {self._table.solver}"
-        if self._last is not None and self._last.integrity != Integrity.OK.value:
-            return State.DEGRADED, self._last.reason
+            return State.STALE, f"no solutions from {names}"
+        last = self._last
+        if last is not None and (last.integrity != Integrity.OK.value or len(last.antennas_used) < len(last.antennas)):
+            return State.DEGRADED, last.reason
         return State.RUNNING, ""
-
-
-def mounting_of(table: AttitudeTable) -> Mounting:
-    """Return the engine's mounting of an attitude table."""
-    return Mounting(radians(table.mounting_deg), radians(table.mounting_pitch_deg), table.length_m, table.length_tolerance_m)
-
-
-def attitude_message(
-    solution: SolutionMessage, table: AttitudeTable, mounting: Mounting, antennas: list[str], identity: dict[str, Any]
-) -> AttitudeMessage:
-    """Return the attitude of one solution; unavailable ones carry NaN and the reason, never a heading of zero."""
-    usable = solution.status == FIX or (table.accept_float and solution.status == FLOAT)
-    attitude = _attitude_of(solution, mounting) if usable else None
-    integrity, reason = _judge(solution, attitude, mounting)
-    return AttitudeMessage(
-        week=solution.week,
-        tow_s=solution.tow_s,
-        status=solution.status,
-        status_name=solution.status_name,
-        integrity=integrity.value,
-        reason=reason,
-        heading_rad=nan if attitude is None else attitude.heading_rad,
-        pitch_rad=nan if attitude is None else attitude.pitch_rad,
-        roll_rad=nan if attitude is None else attitude.roll_rad,
-        yaw_enu_rad=nan if attitude is None else attitude.yaw_enu_rad,
-        covariance_rad2=(nan,) * 9 if attitude is None else tuple(attitude.cov_rad2.ravel().tolist()),
-        baseline_length_m=nan if attitude is None else attitude.length_m,
-        length_error_m=nan if attitude is None else length_error_m(attitude, mounting),
-        antennas=antennas,
-        age_s=solution.age_s,
-        received_mono_ns=solution.received_mono_ns,
-        **identity,
-    )
-
-
-def _attitude_of(solution: SolutionMessage, mounting: Mounting) -> BaselineAttitude | None:
-    baseline = np.array(solution.baseline_enu_m)
-    if not np.isfinite(baseline).all():
-        return None
-    attitude = baseline_attitude(baseline, np.array(solution.baseline_cov_enu_m2).reshape(3, 3), mounting)
-    return attitude if isfinite(attitude.heading_rad) else None
-
-
-def _judge(solution: SolutionMessage, attitude: BaselineAttitude | None, mounting: Mounting) -> tuple[Integrity, str]:
-    if attitude is None:
-        return Integrity.UNAVAILABLE, f"baseline is {solution.status_name}: {solution.reason}"
-    if solution.integrity == Integrity.FAILED.value:
-        return Integrity.FAILED, f"baseline fails its integrity test: {solution.integrity_reason}"
-    if length_integrity(attitude, mounting) is Integrity.FAILED:
-        return Integrity.FAILED, f"baseline is {attitude.length_m:.3f} m, known length is {mounting.length_m:.3f} m"
-    return Integrity.OK, ""
 
 
 def create(context: Context) -> Service:

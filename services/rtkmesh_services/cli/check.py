@@ -33,6 +33,7 @@ def check(
 
     Exit codes: 0 right, 2 faults.
     """
+    from rtkmesh_services.runtime.attitude_checks import notes_on
     from rtkmesh_services.runtime.configuration import ConfigErrors, load_site
 
     errors: list[ConfigError] = []
@@ -46,15 +47,18 @@ def check(
         errors = error.errors
     else:
         errors = errors if file.suffix == ".conf" else url_errors(file, deployment, simulations=True)
+    notes = [] if deployment is None else [note for id_, table in deployment.attitude.items() for note in notes_on(id_, table)]
     if as_json:
         rows = [{"file": error.file, "line": error.line, "message": error.message} for error in errors]
-        sys.stdout.write(msgspec.json.encode({"ok": not errors, "errors": rows, "processes": _processes(deployment)}).decode() + "\n")
+        told = {"ok": not errors, "errors": rows, "notes": notes, "processes": _processes(deployment)}
+        sys.stdout.write(msgspec.json.encode(told).decode() + "\n")
     else:
         for error in errors:
             sys.stderr.write(f"{error}\n")
         if not errors and deployment is not None:
             rows = _processes(deployment)
             sys.stdout.write(f"{file}: right; {len(rows)} processes: {', '.join(row['id'] for row in rows)}\n")
+            sys.stdout.writelines(f"note: {note}\n" for note in notes)
     return EXIT_USAGE if errors else EXIT_OK
 
 

@@ -119,8 +119,8 @@ def spec_for(
 def _referenced(table: Any, deployment: Deployment) -> list[Any]:
     """Return the tables of the processes that a table names: a solver's receivers, the solver of an attitude or output."""
     names: list[str] = [getattr(table, key, "") for key in ("rover", "base", "solver")]
-    for key in ("navigation", "receivers", "solvers", "attitudes"):
+    for key in ("navigation", "receivers", "solvers", "attitudes", "positions", "headings"):
         value = getattr(table, key, ())
-        names += value if isinstance(value, tuple) else ()
+        names += value if isinstance(value, tuple | dict) else ()
     tables = (deployment.ingest, deployment.solver, deployment.attitude)
     return [group[name] for name in names for group in tables if name in group]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from rtkmesh.codecs.messages import DecodingCounters, Frame, FramingCounters, Message
 from rtkmesh.codecs.stream import StreamDecoder
 from rtkmesh.gnss.ephemeris import ReceiverFix, ReferenceStation
-from rtkmesh.gnss.receiver import ReceiverReport
+from rtkmesh.gnss.receiver import ReceiverHeading, ReceiverReport
 from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import IngestTable
@@ -261,6 +261,8 @@ class IngestService(Service):
         self._dialogue.message(message, self._now_s())
         if isinstance(message, ReceiverReport):
             self._receiver.take(message, mono_ns, self.context.event)
+            if isinstance(message, ReceiverHeading):
+                self._publisher.heading(message, mono_ns)
         elif not isinstance(message, ReceiverFix):
             if isinstance(message, ReferenceStation):
                 self._receiver.take_setup(message, mono_ns)

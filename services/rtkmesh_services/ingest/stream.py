@@ -10,11 +10,13 @@ from rtkmesh.codecs.framing import FRAMED
 from rtkmesh.codecs.messages import Frame, Message
 from rtkmesh.gnss.ephemeris import GlonassBias, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, ReferenceStation
 from rtkmesh.gnss.epoch import SLIP, Epoch
+from rtkmesh.gnss.receiver import ReceiverHeading
 from rtkmesh.gnss.signals import satellite_id
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh_schemas.keys import END, EPH, IONO, OBS, RAW, REF
+from rtkmesh_schemas.keys import END, EPH, HEADING, IONO, OBS, RAW, REF
 from rtkmesh_schemas.observation import EndOfStream, EphemerisMessage, IonosphereMessage, ReferenceMessage
 from rtkmesh_services.ingest.made import ATTACHMENT, FrameMakers
+from rtkmesh_services.mapping.heading import heading_message
 from rtkmesh_services.mapping.navigation import orbit_of, wire_time
 from rtkmesh_services.mapping.observation import observation_of
 from rtkmesh_services.runtime.service import Context
@@ -39,7 +41,7 @@ class StreamPublisher:
         self._context, self._bus = context, context.bus
         self._known, self._raw = known, raw
         self._origin, self._datum = "configuration", ""  # of what is known
-        self._frames = 0
+        self._frames = self._headings = 0
         self.sequence = 0
         self.published: Counter[str] = Counter()
         self.newest: Epoch | None = None
@@ -80,6 +82,12 @@ class StreamPublisher:
         elif isinstance(message, GlonassBias):
             self._bias = message
             self._reference()
+
+    def heading(self, heading: ReceiverHeading, mono_ns: int) -> None:
+        """Publish a heading that the receiver computed: numbered for itself, no part of the stream."""
+        identity = {"source": self._context.id, "start_id": self._context.start_id, "sequence": self._headings}
+        self._headings += 1
+        self._bus.publish(HEADING, heading_message(heading, received_mono_ns=mono_ns, **identity))
 
     def stand_at(self, position: Position, origin: str, datum: str) -> None:
         """Publish a position that was found or told: in place of what the stream says, that of a survey until the stream says one."""

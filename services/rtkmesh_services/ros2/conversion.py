@@ -26,6 +26,9 @@ UNIX_OF_GPS_S: Final = int(GPS_ORIGIN.timestamp())
 OK, WARN, ERROR, STALE = range(4)  # diagnostic_msgs/DiagnosticStatus
 _LEVELS: Final = {State.RUNNING: OK, State.STARTING: OK, State.WARMING: OK, State.STOPPED: WARN, State.DEGRADED: WARN, State.STALE: STALE}
 
+_FLU_SIGNS: Final = [(s, t) for s in (1.0, -1.0, -1.0) for t in (1.0, -1.0, -1.0)]
+Quaternion = tuple[float, float, float, float]
+
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
@@ -60,11 +63,16 @@ class Velocity:
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """Fields of sensor_msgs/Imu that a heading fills: quaternion (x, y, z, w) of the body (FLU) in ENU and its 3x3 covariance."""
+    """Fields of sensor_msgs/Imu that an attitude fills.
+
+    Quaternion (x, y, z, w) of the body (forward, left, up) in ENU with its 3x3 covariance, and turn rates of these axes.
+    """
 
     stamp: Stamp
-    quaternion: tuple[float, float, float, float]
+    quaternion: Quaternion
     covariance: tuple[float, ...]
+    rate: tuple[float, float, float] | None = None
+    rate_covariance: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,21 +128,36 @@ def orientation_of(attitude: AttitudeMessage) -> Orientation | None:
     """Return the orientation of an attitude that passed its integrity tests, else None.
 
     The angle that the antennas cannot see is level with a variance that says so. Pitch changes sign from nose up to ROS's
-    axes (forward, left, up).
+    axes (forward, left, up). Turn rates are those of a filtered attitude.
     """
     if attitude.integrity != "ok" or not isfinite(attitude.yaw_enu_rad):
         return None
+    forward, right, down = attitude.rate_radps
+    return Orientation(
+        stamp=stamp_of(attitude.week, attitude.tow_s),
+        quaternion=_quaternion_of(attitude),
+        covariance=_orientation_covariance(attitude.covariance_rad2),
+        rate=(forward, -right, -down) if isfinite(forward + right + down) else None,
+        rate_covariance=tuple(s * t * c for (s, t), c in zip(_FLU_SIGNS, attitude.rate_cov_rad2ps2, strict=True)),
+    )
+
+
+def _quaternion_of(attitude: AttitudeMessage) -> Quaternion:
+    """Return (x, y, z, w): what the attitude says, or that of its angles, unseen ones level."""
+    w, x, y, z = attitude.quaternion_enu_from_flu
+    if isfinite(w + x + y + z):
+        return x, y, z, w
     roll = attitude.roll_rad if isfinite(attitude.roll_rad) else 0.0
     pitch = -attitude.pitch_rad if isfinite(attitude.pitch_rad) else 0.0
-    heading_pitch_roll = attitude.covariance_rad2
-    variances = [v if isfinite(v) else UNSEEN_ANGLE_VARIANCE for v in (heading_pitch_roll[8], heading_pitch_roll[4], heading_pitch_roll[0])]
-    covariance = [0.0] * 9
-    covariance[0], covariance[4], covariance[8] = variances
-    # Both yaw and pitch change sign between (heading, nose up) and (ENU yaw, FLU pitch): their covariance keeps its sign.
-    covariance[5] = covariance[7] = heading_pitch_roll[1] if isfinite(heading_pitch_roll[1]) else 0.0
-    covariance[2] = covariance[6] = -heading_pitch_roll[2] if isfinite(heading_pitch_roll[2]) else 0.0
-    stamp = stamp_of(attitude.week, attitude.tow_s)
-    return Orientation(stamp, _quaternion(roll, pitch, attitude.yaw_enu_rad), tuple(covariance))
+    return _quaternion(roll, pitch, attitude.yaw_enu_rad)
+
+
+def _orientation_covariance(heading_pitch_roll: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the covariance (3x3) of roll, FLU pitch and ENU yaw: yaw and pitch change sign, products of both keep it."""
+    order, signs = (2, 1, 0), (1.0, -1.0, -1.0)
+    found = [heading_pitch_roll[3 * order[i] + order[j]] * signs[i] * signs[j] for i in range(3) for j in range(3)]
+    unseen = [UNSEEN_ANGLE_VARIANCE if i == j else 0.0 for i in range(3) for j in range(3)]
+    return tuple(value if isfinite(value) else instead for value, instead in zip(found, unseen, strict=True))
 
 
 def diagnostic_of(status: ServiceStatus, solution: SolutionMessage | None) -> Diagnostic:

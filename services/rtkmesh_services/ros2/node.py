@@ -88,7 +88,12 @@ class BridgeNode:
         q = message.orientation
         q.x, q.y, q.z, q.w = orientation.quaternion
         message.orientation_covariance = list(orientation.covariance)
-        message.angular_velocity_covariance[0] = -1.0  # REP-145: not measured
+        if orientation.rate is None:
+            message.angular_velocity_covariance[0] = -1.0  # REP-145: not measured
+        else:
+            turning = message.angular_velocity
+            turning.x, turning.y, turning.z = orientation.rate
+            message.angular_velocity_covariance = list(orientation.rate_covariance)
         message.linear_acceleration_covariance[0] = -1.0
         publisher.publish(message)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.config import Ros2Table
 from rtkmesh_schemas.errors import DecodeError, VersionError
-from rtkmesh_schemas.keys import ATT, SOL, STATUS, Role
+from rtkmesh_schemas.keys import ATT, ATT_FILTERED, SOL, STATUS, Role, Stream
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import InputStatus, ServiceStatus
 from rtkmesh_schemas.wire import decode
@@ -63,7 +63,7 @@ class Ros2Service(Service):
         for name in self._solvers:
             self.context.subscribe(SOL.key(name), lane="sol", latest=True)
         for name in self._attitudes:
-            self.context.subscribe(ATT.key(name), lane="att", latest=True)
+            self.context.subscribe(self._attitude_stream(name).key(name), lane="att", latest=True)
         self.context.subscribe(STATUS.expression(), lane="status", history=True, latest=True)
 
     def handle(self, item: Any) -> None:
@@ -109,6 +109,11 @@ class Ros2Service(Service):
             self._counts["fix"] += 1
             if (velocity := velocity_of(solution)) is not None:
                 self._node.publish_velocity(name, velocity)
+
+    def _attitude_stream(self, name: str) -> Stream:
+        """Return the filtered attitudes of a process that has a filter."""
+        table = self.context.deployment.attitude.get(name)
+        return ATT_FILTERED if table is not None and table.filter is not None else ATT
 
     def _systems(self, solver: str) -> str:
         table = self.context.deployment.solver.get(solver)

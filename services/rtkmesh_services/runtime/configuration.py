@@ -16,10 +16,12 @@ from typing import Any, Final, TypeGuard, TypeVar
 import msgspec
 
 from rtkmesh_schemas.config import Deployment, SolverTable
+from rtkmesh_schemas.config_attitude import AntennaPlaceTable
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.runtime.deployment_checks import NAMED, check_deployment
 from rtkmesh_services.runtime.files_below import read_below
+from rtkmesh_services.runtime.layout_files import antennas_of, with_antennas
 from rtkmesh_services.runtime.toml_lines import lines_of
 from rtkmesh_services.runtime.words import clip, nearest
 
@@ -115,10 +117,25 @@ def find_data_folder(given: Path | None = None) -> Path | None:
 def parse_deployment(text: str, file: str, data_folder: Path | None = None) -> Deployment:
     """Return the deployment in a TOML text; ConfigErrors names everything that is wrong in it."""
     reader = _Reader(file, text, data_folder)
-    deployment = reader.deployment()
+    deployment = _with_layouts(reader, reader.deployment())
     check_deployment(reader, deployment)
     reader.finish()
     return deployment
+
+
+def _with_layouts(reader: "_Reader", deployment: Deployment) -> Deployment:
+    """Return the deployment with the antennas of its layout files; faults in them are faults of the deployment."""
+    folder, found = Path(reader.file).parent / deployment.deployment.config_folder, dict[str, dict[str, AntennaPlaceTable]]()
+    for id, table in deployment.attitude.items():  # noqa: A001
+        if not table.layout:
+            continue
+        try:
+            layout = _Reader(table.layout, _decoded(read_below(table.layout, folder, MAXIMUM_SOLVER_FILE), table.layout), None)
+            found[id] = antennas_of(layout, id)
+            reader.errors += layout.errors
+        except ConfigError as error:
+            reader.fault(("attitude", id, "layout"), f"[attitude.{id}] layout: {error}")
+    return with_antennas(deployment, found)
 
 
 def load_solver_table(name: str, config_folder: Path) -> SolverTable:
@@ -202,6 +219,7 @@ class _Reader:
                 made = msgspec.convert(rest, kind, strict=True)
             except msgspec.ValidationError as error:
                 inner, at = _location(str(error))
+                at = _with_names(rest, kind, at)
                 missing = _MISSING.search(str(error))
                 if missing is None or len(self.errors) == first:
                     self._explain(kind, str(error), inner, (*path, *at), missing)
@@ -304,6 +322,27 @@ def _location(text: str) -> tuple[str | None, tuple[str, ...]]:
     match, unknown = _AT.search(text), _UNKNOWN.search(text)
     chunks = re.findall(r"\.([A-Za-z0-9_]+)|\[(\d+|\.\.\.)\]", match["path"]) if match else []
     return (unknown["name"] if unknown else None), tuple(name or index for name, index in chunks)
+
+
+def _with_names(table: dict[str, Any], kind: type[msgspec.Struct], path: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the path of a fault with the names of its tables, where msgspec says ``...``: the first one that is at fault alone."""
+    for depth in (index for index, chunk in enumerate(path) if chunk == "..."):
+        rows = _at(table, path[:depth])
+        name = next((name for name in rows if _is_faulty(table, kind, path[:depth], name)), "...") if _is_table(rows) else "..."
+        path = (*path[:depth], name, *path[depth + 1 :])
+    return path
+
+
+def _is_faulty(table: dict[str, Any], kind: type[msgspec.Struct], path: tuple[str, ...], name: str) -> bool:
+    """Return whether a table has a fault below a path when it has only one of the tables there."""
+    alone = _copied(table)
+    above: dict[str, Any] = _at(alone, path[:-1])
+    above[path[-1]] = {name: above[path[-1]][name]}
+    try:
+        msgspec.convert(alone, kind, strict=True)
+    except msgspec.ValidationError as error:
+        return _location(str(error))[1][: len(path)] == path
+    return False
 
 
 def _removed(table: dict[str, Any], path: tuple[str, ...], inner: str | None) -> bool:

@@ -7,9 +7,11 @@ from typing import Final
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.receiver_options import parse_receiver_options
 from rtkmesh_schemas.config import Deployment, IngestTable, SolverTable
+from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.errors import BadKeyError
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
 from rtkmesh_services.runtime.addresses import address_of, is_loopback
+from rtkmesh_services.runtime.attitude_checks import check_attitude
 from rtkmesh_services.runtime.file_faults import Faults
 from rtkmesh_services.runtime.output_checks import check_output_table, check_ports
 from rtkmesh_services.runtime.preset_checks import check_presets
@@ -41,7 +43,8 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
             _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
         _check_solver(reader, id, solver)
     for id, table in deployment.attitude.items():  # noqa: A001
-        _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
+        _check_sources(reader, id, table)
+        check_attitude(reader, id, table, deployment)
     for id in deployment.output:  # noqa: A001
         _check_output(reader, id, deployment)
     _check_lists(reader, deployment)
@@ -141,6 +144,16 @@ def _check_output(reader: Faults, id: str, deployment: Deployment) -> None:  # n
         _check_reference(reader, "ingest", output.target.partition("://")[2], ("output", id, "target"))
     for mount, receiver in output.mounts.items():
         _check_reference(reader, "ingest", receiver, ("output", id, "mounts", mount))
+
+
+def _check_sources(reader: Faults, id: str, table: AttitudeTable) -> None:  # noqa: A002
+    if table.solver:
+        _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
+    for key in ("solvers", "positions"):
+        for index, name in enumerate(getattr(table, key)):
+            _check_reference(reader, "solver", name, ("attitude", id, key, str(index)))
+    for name in table.headings:
+        _check_reference(reader, "ingest", name, ("attitude", id, "headings", name))
 
 
 def _check_followed(reader: Faults, id: str, ingests: Mapping[str, IngestTable]) -> None:  # noqa: A002

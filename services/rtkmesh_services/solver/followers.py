@@ -15,7 +15,7 @@ class Followers:
         self._bus = context.bus
         deployment, me = context.deployment, context.id
         outputs = {id_: table for id_, table in deployment.output.items() if table.solver == me}
-        attitudes = [id_ for id_, table in deployment.attitude.items() if table.solver == me]
+        attitudes = [id_ for id_, table in deployment.attitude.items() if me in table.takes_solutions_of]
         self._missing = {*outputs, *attitudes}
         self.wants_satellites = any(table.takes_satellites for table in outputs.values())
         self._here = not self._missing

@@ -1,0 +1,123 @@
+"""``[attitude.ID]`` of the deployment file: the antennas of a body, what tells of them, and what is made of it."""
+
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from rtkmesh_schemas.config_base import Positive, Table
+
+Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+Place = tuple[Metres, Metres, Metres]
+LARGEST_SIGMA_M = 10.0
+Azimuth = Annotated[float, Meta(ge=-360.0, le=360.0)]
+Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
+Ids = Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=64)], ...], Meta(max_length=64)]
+
+
+class AntennaPlaceTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.antennas.NAME]``: where the antenna of ingest NAME is in the vehicle: forward, right, down from its origin, m.
+
+    ``sigma_m``: how well that is known, one number or three.
+    """
+
+    position_m: Place
+    sigma_m: float | tuple[float, float, float] = 0.0  # bounds are checked by the shell: msgspec 0.20 mixes those of a union up
+
+    @property
+    def sigmas_m(self) -> Place:
+        """The three sigmas."""
+        return self.sigma_m if isinstance(self.sigma_m, tuple) else (self.sigma_m, self.sigma_m, self.sigma_m)
+
+
+class BodyPointTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.points.NAME]``: a point of the vehicle (forward, right, down from its origin, m) whose position is published."""
+
+    position_m: Place
+
+
+class ReceiverHeadingTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.headings.INGEST]``: a heading that the receiver of an ingest computes itself.
+
+    ``antennas``: the two of ``[attitude.ID.antennas]`` that it is of, from and to: it is used while no solver gives that baseline. Else
+    ``mounting_deg`` (clockwise from the nose) and ``mounting_pitch_deg`` say where its line of antennas points.
+    ``sigma_deg``: of headings that say none themselves, and the least that is believed.
+    """
+
+    antennas: tuple[str, str] | None = None
+    mounting_deg: Azimuth = 0.0
+    mounting_pitch_deg: Elevation = 0.0
+    sigma_deg: Annotated[float, Meta(ge=0.001, le=90.0)] = 0.2
+
+
+class ImuTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.imu]``: turn rates for the filter, from any program: JSON or msgpack maps on ``key``.
+
+    Fields: ``rate_radps`` (3, body axes forward, right, down), ``week`` and ``tow_s`` (GPS time) or ``utc_s`` (seconds since 1970).
+    ``sigma_radps``: of one rate.
+    """
+
+    key: Annotated[str, Meta(min_length=1, max_length=200)]
+    sigma_radps: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.005
+
+
+class AttitudeFilterTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.filter]``: the attitude goes on between and without epochs, on ``rtk/ID/att/filtered``, with turn rates.
+
+    ``kind``: of the whole ``rotation``, or of the ``heading`` alone. ``publish``: at every epoch (``epochs``), or also at every sample
+    of ``[attitude.ID.imu]`` (``gyro``). ``rate_walk_radps_rts``: how quickly the vehicle starts and stops to turn (rad/s per root
+    second). ``correlation_s``: how long errors of epochs hang together. ``false_alarm``: probability of gating a good epoch.
+    ``max_coast_s``: after so long without an epoch there is no attitude.
+    """
+
+    kind: Literal["rotation", "heading"] = "rotation"
+    publish: Literal["epochs", "gyro"] = "epochs"
+    rate_walk_radps_rts: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.2
+    correlation_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.0
+    false_alarm: Annotated[float, Meta(ge=1e-9, le=0.1)] = 1e-4
+    max_coast_s: Annotated[float, Meta(gt=0.0, le=3600.0)] = 10.0
+
+
+class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID]``: heading, pitch and roll of a vehicle from its antennas.
+
+    One baseline: ``solver`` (moving-base) with ``mounting_deg``, azimuth of the baseline (base to rover antenna) in the vehicle frame,
+    clockwise from the nose (0: the rover antenna is ahead of the base antenna), ``mounting_pitch_deg`` and ``length_m``: known antenna
+    distance; a fix further off than ``length_tolerance_m`` fails integrity.
+
+    Any number of antennas: their places in ``[attitude.ID.antennas.NAME]``, or in a file ``layout`` (of ``rtkmesh antennas calibrate``,
+    relative to the folder of configurations); and any mix of ``solvers`` (moving-base, between these antennas), ``positions``
+    (kinematic solvers of these antennas) and ``[attitude.ID.headings.INGEST]``. ``wait_s``: how long an epoch waits for the last of
+    them. ``rate``: attitudes at the epochs of the ``slowest`` of them, or at every epoch of the ``fastest`` with what it has.
+    ``false_alarm``: probability per epoch to find a fault where there is none. ``unseen_tilt_deg``: one sigma of the tilt
+    about antennas on one line, which they do not see. ``points``: places of the vehicle whose position is published.
+    """
+
+    solver: str = ""
+    mounting_deg: Azimuth = 0.0
+    mounting_pitch_deg: Elevation = 0.0
+    length_m: Positive | None = None
+    length_tolerance_m: Positive = 0.05
+    accept_float: bool = False
+    solvers: Ids = ()
+    positions: Ids = ()
+    headings: dict[str, ReceiverHeadingTable] = {}
+    antennas: dict[str, AntennaPlaceTable] = {}
+    layout: Annotated[str, Meta(max_length=200)] = ""
+    points: dict[str, BodyPointTable] = {}
+    rate: Literal["slowest", "fastest"] = "slowest"
+    wait_s: Annotated[float, Meta(ge=0.001, le=10.0)] = 0.2
+    false_alarm: Annotated[float, Meta(ge=1e-9, le=0.1)] = 1e-3
+    unseen_tilt_deg: Annotated[float, Meta(ge=0.1, le=90.0)] = 10.0
+    imu: ImuTable | None = None
+    filter: AttitudeFilterTable | None = None
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The ids of all processes that it takes from."""
+        own = (self.solver,) if self.solver else ()
+        return (*own, *self.solvers, *self.positions, *self.headings)
+
+    @property
+    def takes_solutions_of(self) -> tuple[str, ...]:
+        """The solvers among them."""
+        return tuple(name for name in self.sources if name not in self.headings)

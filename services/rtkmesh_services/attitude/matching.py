@@ -1,0 +1,147 @@
+"""Epochs from readings: all sources' readings of one instant together, however they come.
+
+An epoch is complete when every source that is due has spoken for it, or has spoken of a later instant. In what order sources speak
+changes nothing. Live, an epoch waits no longer than a deadline; of a replay that runs as fast as it can, that deadline is long. What comes
+for an epoch that is over is counted as late.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import inf
+
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh_services.attitude.readings import Reading
+
+TOLERANCE_S = 0.025  # instants that are the same: receivers' clocks differ by up to 1 ms
+BACK_S = 10.0  # a time so far back is another beginning
+_LOST_PERIODS = 3.0  # a source that has missed so many is not waited for
+_KEPT, _RECENT = 64, 8  # instants of a source that are remembered, and those that its period is taken from
+_SILENT_S = 2.0  # nor one that has been silent for so long, before its period is known
+
+
+@dataclass(slots=True)
+class _Track:
+    """What is known of one source: its newest instant, how long from one to the next, when it was heard."""
+
+    newest: GpsTime | None = None
+    period_s: float | None = None
+    past: list[GpsTime] = field(default_factory=list[GpsTime])
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedEpoch:
+    """All readings of one instant, by source. ``missing``: sources that were due; ``whole``: none of them may still speak for it."""
+
+    time: GpsTime
+    readings: dict[str, Reading]
+    whole: bool
+    missing: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class _Pending:
+    time: GpsTime
+    opened_s: float
+    readings: dict[str, Reading] = field(default_factory=dict[str, Reading])
+
+
+class Matcher:
+    """Gathers readings of named sources; ``slowest``: epochs are only those at which all of them speak."""
+
+    def __init__(self, sources: Sequence[str], wait_s: float, *, slowest: bool) -> None:
+        self._tracks = {name: _Track() for name in sources}
+        self._wait_s, self._slowest = wait_s, slowest
+        self._pending: list[_Pending] = []
+        self._closed: GpsTime | None = None
+        self._begun_s: float | None = None
+        self.late: Counter[str] = Counter()
+        self.skipped = self.restarts = 0
+
+    def take(self, reading: Reading, now_s: float) -> Iterator[MatchedEpoch]:
+        """Take a reading and yield the epochs that are complete now, in order of time."""
+        self._begun_s = now_s if self._begun_s is None else self._begun_s
+        if self._closed is not None and reading.time - self._closed < -BACK_S:
+            self._begin_anew(now_s)
+        if self._closed is not None and reading.time - self._closed <= TOLERANCE_S:
+            self.late[reading.source.id] += 1
+            return
+        self._note(reading)
+        self._at(reading.time, now_s).readings[reading.source.id] = reading
+        yield from self.ready(now_s)
+
+    def ready(self, now_s: float) -> Iterator[MatchedEpoch]:
+        """Yield the epochs that are complete, or have waited for long enough."""
+        while self._pending:
+            first = self._pending[0]
+            awaited = self._awaited(first, now_s)
+            if awaited and now_s - first.opened_s < self._wait_s:
+                return
+            del self._pending[0]
+            self._closed = first.time
+            absent = [name for name, track in self._tracks.items() if name not in first.readings and not self._is_lost(track, first.time)]
+            missing = tuple(name for name in absent if self._due(self._tracks[name], first.time))
+            if self._slowest and len(absent) > len(missing):
+                self.skipped += 1
+                continue
+            yield self._matched(first, missing, whole=not awaited)
+
+    def due_s(self) -> float:
+        """Return when the first pending epoch will have waited for long enough; inf without one."""
+        return self._pending[0].opened_s + self._wait_s if self._pending else inf
+
+    def _at(self, time: GpsTime, now_s: float) -> _Pending:
+        """Return the pending epoch of an instant."""
+        for pending in self._pending:
+            if abs(time - pending.time) <= TOLERANCE_S:
+                return pending
+        made = _Pending(time, now_s)
+        self._pending.append(made)
+        self._pending.sort(key=lambda pending: (pending.time.week, pending.time.tow_s))
+        return made
+
+    def _note(self, reading: Reading) -> None:
+        track = self._tracks[reading.source.id]
+        if track.newest is None or reading.time > track.newest:
+            track.newest = reading.time
+            track.past = [*track.past[1 - _KEPT :], reading.time]
+            recent = track.past[-_RECENT:]
+            track.period_s = min((after - before for before, after in pairwise(recent)), default=None)
+
+    def _awaited(self, pending: _Pending, now_s: float) -> list[str]:
+        """Return the sources that may still speak for an epoch."""
+        return [name for name, track in self._tracks.items() if name not in pending.readings and self._may_speak(track, pending, now_s)]
+
+    def _may_speak(self, track: _Track, pending: _Pending, now_s: float) -> bool:
+        if track.newest is None:
+            assert self._begun_s is not None, "a reading is pending"
+            return now_s - self._begun_s < max(_SILENT_S, self._wait_s)
+        if track.newest - pending.time > TOLERANCE_S:
+            return False
+        return self._due(track, pending.time)
+
+    def _due(self, track: _Track, time: GpsTime) -> bool:
+        """Return whether a source has a reading at an instant, by its period: not before its next one, not if it has long been lost."""
+        before = [past for past in track.past if past < time]
+        if not before or track.period_s is None:
+            return True
+        since_s = time - before[-1]
+        return track.period_s - TOLERANCE_S <= since_s <= (_LOST_PERIODS + 0.5) * track.period_s
+
+    def _matched(self, pending: _Pending, missing: tuple[str, ...], *, whole: bool) -> MatchedEpoch:
+        """Return an epoch, its readings in the sources' order: its time is that of the first of them."""
+        readings = {name: pending.readings[name] for name in self._tracks if name in pending.readings}
+        return MatchedEpoch(next(iter(readings.values())).time, readings, whole, missing)
+
+    def _is_lost(self, track: _Track, time: GpsTime) -> bool:
+        if track.newest is None or track.period_s is None:
+            return track.newest is None
+        return time - track.newest > (_LOST_PERIODS + 0.5) * track.period_s
+
+    def _begin_anew(self, now_s: float) -> None:
+        """Time has gone back: a recording is played again."""
+        self._tracks = {name: _Track() for name in self._tracks}
+        self._pending.clear()
+        self._closed, self._begun_s = None, now_s
+        self.restarts += 1
