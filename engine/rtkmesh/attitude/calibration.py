@@ -98,6 +98,10 @@ class Calibration:
         places = self.layout.positions_m @ vehicle_from_axes.T
         return replace(self, layout=Layout(self.layout.names, places, wide @ self.layout.cov_m2 @ wide.T))
 
+    def shifted(self, offset_m: tuple[float, float, float]) -> "Calibration":
+        """Return it with another origin: ``offset_m`` is where the present one is in the new axes."""
+        return replace(self, layout=replace(self.layout, positions_m=self.layout.positions_m + np.array(offset_m)))
+
 
 def calibrate(names: tuple[str, ...], instants: Sequence[Instant], *, centred: bool = False) -> Calibration:
     """Return the layout of antennas; ``instants`` measure mixes of them, in the order of ``names``.
@@ -161,7 +165,12 @@ def _start(names: tuple[str, ...], instants: list[Instant]) -> tuple[Matrix, Mat
     along = free @ (direction * np.sign(direction @ (places[1] - places[0])))
     on_line: Matrix = np.zeros_like(places)
     on_line[:, 0] = along - along[0]
-    return on_line, np.kron(np.eye(len(names)), np.array([[1.0], [0.0], [0.0]]))
+    return on_line, _forward_only(len(names))
+
+
+def _forward_only(antennas: int) -> Matrix:
+    """Return the directions (3n, n) of moves along the first axis."""
+    return np.eye(3 * antennas)[:, ::3]
 
 
 def _straight(places: Matrix) -> bool:
@@ -231,7 +240,7 @@ def _cov(found: Adjusted, names: tuple[str, ...], *, straight: bool) -> tuple[Ma
     cov, factor = coloured_cov(found.information, found.scores)
     if not straight:
         return cov, factor
-    basis = np.kron(np.eye(len(names)), np.array([[1.0], [0.0], [0.0]]))
+    basis = _forward_only(len(names))
     return basis @ cov @ basis.T, factor
 
 

@@ -31,6 +31,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "check": ("rtkmesh_services.cli.check:app", "Check a deployment file: every fault with line, key and nearest name."),
     "receiver": ("rtkmesh_services.cli.receiver:app", "Set up a receiver by a recipe, and read back what it says."),
     "ports": ("rtkmesh_services.cli.ports:app", "Show the serial ports, and who is behind them."),
+    "antennas": ("rtkmesh_services.cli.antennas:app", "Calibrate the antennas of a vehicle, and design a layout of them."),
     "base": ("rtkmesh_services.cli.base:app", "Show, save and forget the positions of base stations of this host."),
     "ntrip": ("rtkmesh_services.cli.ntrip:app", "Ask a caster: which mount points it has, and which is nearest."),
     "recover": ("rtkmesh_services.cli.recover:app", "Repair raw logs after a crash or a power cut; the originals stay."),
