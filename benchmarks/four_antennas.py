@@ -107,8 +107,8 @@ def verdicts(layout: Layout, instants: Sequence[Instant]) -> dict[int, Judged]:
 
 def against(ours: dict[int, Judged], theirs: Matrix) -> Row:
     """Return how angles differ from ours: time offset, constant rotation between the frames, and the spread before and after that."""
-    shift_s = min(_SHIFTS_S, key=lambda shift: _spread(_pairs(ours, theirs, shift)))
-    before, pairs = _pairs(ours, theirs, 0.0), _pairs(ours, theirs, shift_s)
+    shift_s = min(_SHIFTS_S, key=lambda shift: _spread(paired(ours, theirs, shift)))
+    before, pairs = paired(ours, theirs, 0.0), paired(ours, theirs, shift_s)
     constant = mean_rotation([mine.T @ other for mine, other in pairs])
     after = [(mine @ constant, other) for mine, other in pairs]
     heading, pitch, roll = np.degrees([wrapped(angle) for angle in angles_of(constant)])
@@ -128,7 +128,7 @@ def only(ours: dict[int, Judged], recording: Recording, antennas: int) -> dict[i
     return {s: ours[s] for s in (round(i.time_s) for i in recording.instants if antennas_of(i) == antennas)}
 
 
-def _pairs(ours: dict[int, Judged], theirs: Matrix, shift_s: float) -> list[tuple[Matrix, Matrix]]:
+def paired(ours: dict[int, Judged], theirs: Matrix, shift_s: float) -> list[tuple[Matrix, Matrix]]:
     """Return our rotations with theirs of ``shift_s`` later by their clock, interpolated over a second."""
     times, found = theirs[:, 0], list[tuple[Matrix, Matrix]]()
     unwrapped = np.unwrap(theirs[:, 1:], axis=0)
