@@ -23,6 +23,8 @@ class Code(StrEnum):
     NOT_FOUND = "not_found"
     FAILED = "failed"
     TOO_LARGE = "too_large"
+    STALE = "stale"
+    CONFLICT = "conflict"
     # Said by the client, in place of an empty answer.
     ABSENT = "absent"
     HUNG = "hung"
@@ -31,12 +33,19 @@ class Code(StrEnum):
 
 
 class Request(Wire, frozen=True, kw_only=True):
-    """A command. A repeated ``request_id`` gets the first answer again. ``caller`` is who asks, for the log."""
+    """A command. A repeated ``request_id`` gets the first answer again, one of another command is refused. ``caller`` is who asks.
+
+    A command that comes too late is refused: after ``expires_utc_ns``, or more than ten seconds after ``issued_utc_ns`` (UTC, ns since
+    1970; 0: not said), or for another run of the process than ``start_id``. Say these only where the clocks of both hosts agree.
+    """
 
     op: str
     args: dict[str, Any] = {}
     request_id: str = ""
     caller: str = ""
+    issued_utc_ns: int = 0
+    expires_utc_ns: int = 0
+    start_id: str = ""
 
 
 class Reply(Wire, frozen=True, kw_only=True):
@@ -77,8 +86,15 @@ def _from_parameters(parameters: str) -> Request:
     op = values.pop("op", "")
     if not op:
         raise DecodeError("no op: send {op, args} as JSON or msgpack, or ?op=status")
-    request_id, caller = values.pop("request_id", ""), values.pop("caller", "")
-    return Request(op=op, args=dict(values), request_id=request_id, caller=caller)
+    request = Request(op=op, request_id=values.pop("request_id", ""), caller=values.pop("caller", ""), start_id=values.pop("start_id", ""))
+    times = {name: _nanoseconds(name, values.pop(name, "0")) for name in ("issued_utc_ns", "expires_utc_ns")}
+    return msgspec.structs.replace(request, args=dict(values), **times)
+
+
+def _nanoseconds(name: str, text: str) -> int:
+    if not text.isdecimal() or len(text) > 20:
+        raise DecodeError(f"{name} is a whole number of nanoseconds")
+    return int(text)
 
 
 def plain(value: Wire) -> dict[str, Any]:

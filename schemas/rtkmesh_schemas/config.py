@@ -9,10 +9,13 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from rtkmesh_schemas.config_base import NotNegative, Positive, Systems, Table
+from rtkmesh_schemas.config_flockwave import FlockwaveTable
+from rtkmesh_schemas.config_output import OutputTable
+from rtkmesh_schemas.config_presets import BasesTable, FilterTable, PresetNames, PresetTable
 from rtkmesh_schemas.config_rules import RuleTable
+from rtkmesh_schemas.config_telnet import TelnetTable
 
-Positive = Annotated[float, Meta(gt=0.0, lt=1e9)]
-NotNegative = Annotated[float, Meta(ge=0.0, lt=1e9)]
 Degrees90 = Annotated[float, Meta(ge=0.0, le=90.0)]
 EcefVector = tuple[
     Annotated[float, Meta(ge=-1e7, le=1e7)], Annotated[float, Meta(ge=-1e7, le=1e7)], Annotated[float, Meta(ge=-1e7, le=1e7)]
@@ -20,14 +23,9 @@ EcefVector = tuple[
 GeodeticVector = tuple[
     Annotated[float, Meta(ge=-90.0, le=90.0)], Annotated[float, Meta(ge=-360.0, le=360.0)], Annotated[float, Meta(ge=-12000.0, le=100000.0)]
 ]
-Systems = Annotated[str, Meta(pattern="^[GRECJSI]+$")]
 AntennaName = Annotated[str, Meta(max_length=40)]
 ModeName = Literal["single", "dgps", "static", "static-start", "kinematic", "moving-base", "fixed"]
 LogLevel = Literal["debug", "info", "warning", "error"]
-
-
-class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Root of the tables of a deployment file."""
 
 
 class DeploymentTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -112,7 +110,7 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     ``position_ecef_m`` or ``position_llh_deg`` (lat, lon, ellipsoidal height) is the antenna's known position and replaces what the
     stream says. ``date`` (YYYY-MM-DD) settles the week of RTCM logs. ``options`` are RTKLIB's receiver options (``"-TADJ=0.1 -GL2L"``).
-    ``navigation`` marks a source of ephemerides only.
+    ``navigation`` marks a source of ephemerides only. ``filter`` says which frames are used.
     """
 
     source: str
@@ -126,6 +124,7 @@ class IngestTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     options: str = ""
     navigation: bool = False
     raw: bool = True
+    filter: FilterTable = FilterTable()
     commands: CommandsTable = CommandsTable()
     corrections: CorrectionsTable | None = None
     base_station: BaseStationTable | None = None
@@ -194,10 +193,12 @@ class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     ``rover_antenna`` and ``base_antenna`` are IGS names (``LEIAR25.R3 LEIT``) instead of what the streams say; ``antex`` is a file with
     calibrations that go before the shipped ones, relative to the folder of configurations.
+    ``presets`` are base stations to choose from, the best first: control takes the next one when one is silent or bad.
     """
 
     rover: str
     base: str = ""
+    presets: PresetNames = ()
     navigation: tuple[str, ...] = ()
     mode: ModeName = "kinematic"
     systems: Systems = "GREJC"
@@ -233,38 +234,6 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     length_m: Positive | None = None
     length_tolerance_m: Positive = 0.05
     accept_float: bool = False
-
-
-class OutputTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[output.ID]``: one output stream. ``target`` is a URL: file:, tcp-listen:, tcp:, udp:; for receivers also ntrip:, ntrips: (feed a
-    caster's mount point) and ntrip-caster: (be one).
-
-    Either ``solver``: its solutions, in a ``format``; or ``receiver``: its whole frames as they came, of one ``protocol`` and, where
-    ``messages`` names RTCM 3 message numbers, only those. With ``encode`` the receiver's ingest (of the same file) makes RTCM 3 of what it
-    decodes, whatever the receiver sends: MSM of that type with the ``systems``, at multiples of ``interval_s`` (0: every epoch), thinned to
-    ``bytes_per_second`` (0: no limit); 1006, 1008, 1033 and 1230 every ``station_interval_s``; ephemerides when they are new, and again
-    every ``ephemeris_interval_s`` (0: not again). A caster has ``mounts`` (mount point = receiver) and ``users`` (name =
-    password); ``anonymous`` lets everybody read who can reach it.
-    """
-
-    target: str
-    solver: str = ""
-    format: Literal["llh", "xyz", "enu", "json"] = "llh"
-    time_form: Literal["calendar", "tow"] = "calendar"
-    receiver: str = ""
-    mounts: dict[str, str] = {}
-    protocol: Literal["rtcm3", "ubx", "nmea", "unicore", "novatel", "sbf", "all"] = "rtcm3"
-    messages: tuple[Annotated[int, Meta(ge=1, le=4095)], ...] = ()
-    encode: Literal["", "msm4", "msm5", "msm7"] = ""
-    station_id: Annotated[int, Meta(ge=0, le=4095)] = 0
-    systems: Systems = "GRECJSI"
-    interval_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.0
-    bytes_per_second: NotNegative = 0.0
-    station_interval_s: Annotated[float, Meta(ge=0.1, le=3600.0)] = 10.0
-    ephemeris_interval_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
-    users: dict[str, str] = {}
-    anonymous: bool = False
-    maximum_clients: Annotated[int, Meta(ge=1, le=1000)] = 64
 
 
 class RecorderTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -314,6 +283,7 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     deployment: DeploymentTable = DeploymentTable()
     hub: HubTable = HubTable()
     control: ControlTable = ControlTable()
+    flockwave: FlockwaveTable = FlockwaveTable()
     ingest: dict[str, IngestTable] = {}
     solver: dict[str, SolverTable] = {}
     attitude: dict[str, AttitudeTable] = {}
@@ -321,4 +291,7 @@ class Deployment(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     recorder: dict[str, RecorderTable] = {}
     ros2: dict[str, Ros2Table] = {}
     monitor: dict[str, MonitorTable] = {}
+    bases: BasesTable = BasesTable()
+    preset: dict[str, PresetTable] = {}
+    telnet: dict[str, TelnetTable] = {}
     rule: dict[str, RuleTable] = {}

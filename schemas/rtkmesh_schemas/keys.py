@@ -98,13 +98,15 @@ STREAMS: Final = (
     Stream("sol", "rtk/{id}/sol", Kind.PUBLISH, (Role.SOLVER,), "SolutionMessage", "solution: time, status, position, velocity, baseline, covariances, ages, ratio, grade", None, Priority.REAL_TIME),
     Stream("sol_text", "rtk/{id}/sol/{format}", Kind.PUBLISH, (Role.SOLVER,), "", "RTKRCV's formats as text: llh xyz enu vel_enu nmea stat; only when matched"),
     Stream("sat", "rtk/{id}/sat", Kind.PUBLISH, (Role.SOLVER,), "SatellitesMessage", "per satellite and signal: residuals, slips, lock, ambiguity, C/N0, azimuth, elevation", 1.0),
+    Stream("text", "rtk/{id}/text", Kind.PUBLISH, (Role.OUTPUT,), "", "an output's text as its table wants it (target zenoh://), an epoch a message; attachment: the header"),
+    Stream("screen", "rtk/{id}/screen/{word}", Kind.PUBLISH, (Role.SOLVER,), "", "what RTKRCV's console shows, as text: status satellite observ navidata stream at 1 Hz, solution per epoch, error when it occurs; only when matched"),
     Stream("att", "rtk/{id}/att", Kind.PUBLISH, (Role.ATTITUDE,), "AttitudeMessage", "heading, pitch, roll, covariance, integrity, antennas used", None, Priority.REAL_TIME),
     Stream("status", "rtk/{id}/status", Kind.CACHED, _ALL, "ServiceStatus", "state machine, counters, input ages, latencies; from the work loop", 1.0, cache=1),
     Stream("event", "rtk/{id}/event/{level}", Kind.CACHED, _ALL, "Event", "what happened", 0.0, cache=100),
     Stream("log", "rtk/{id}/log", Kind.PUBLISH, _ALL, "LogRecord", "what was said", 0.0, Priority.BACKGROUND),
     Stream("metrics", "rtk/{id}/metrics", Kind.PUBLISH, _ALL, "Metrics", "numbers", 1.0, Priority.DATA_LOW),
     Stream("latest", "rtk/{id}/latest", Kind.QUERYABLE, _WORKERS, "", "pull of the newest sol, att, status: ?what=sol,status"),
-    Stream("preset", "rtk/control/preset/{name}", Kind.QUERYABLE, (Role.CONTROL,), "Reply", "base station presets"),
+    Stream("preset", "rtk/control/preset/{name}", Kind.QUERYABLE, (Role.CONTROL,), "Reply", "a base station's preset: a get tells it with state and score; op select, update, delete"),
     Stream("flockwave", "rtk/flockwave", Kind.QUERYABLE, (Role.CONTROL,), "", "Flockwave RTK messages"),
     Stream("live", "rtk/@live/{role}/{id}", Kind.TOKEN, _ALL, "", "declared only when warm and attached; invisible to rtk/**"),
 )  # fmt: skip
@@ -113,7 +115,9 @@ BY_NAME: Final = {stream.name: stream for stream in STREAMS}
 CMD, RAW, MADE, OBS, EPH, IONO, REF, END, CREDIT, WRITE = (
     BY_NAME[n] for n in ("cmd", "raw", "made", "obs", "eph", "iono", "ref", "end", "credit", "write")
 )
-SOL, SOL_TEXT, SAT, ATT, STATUS, EVENT, LOG = (BY_NAME[n] for n in ("sol", "sol_text", "sat", "att", "status", "event", "log"))
+SOL, SOL_TEXT, SAT, SCREEN, TEXT, ATT, STATUS, EVENT, LOG = (
+    BY_NAME[n] for n in ("sol", "sol_text", "sat", "screen", "text", "att", "status", "event", "log")
+)
 METRICS, LATEST, PRESET, FLOCKWAVE, LIVE = (BY_NAME[n] for n in ("metrics", "latest", "preset", "flockwave", "live"))
 
 STALE_PERIODS: Final = 10.0  # a stream with a nominal rate is stale after this many missing periods

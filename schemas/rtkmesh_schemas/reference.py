@@ -4,6 +4,7 @@ from typing import Any, Final
 
 import msgspec
 
+from rtkmesh_schemas import flockwave
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.base import BasePosition, SurveyStatus
 from rtkmesh_schemas.command import Reply, Request
@@ -37,13 +38,16 @@ MESSAGES: Final[dict[str, type[Wire]]] = {
         SurveyStatus,
     )
 }
-SCHEMAS: Final[tuple[str, ...]] = (*sorted(MESSAGES), "Deployment")
+_DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+SCHEMAS: Final[tuple[str, ...]] = (*sorted(MESSAGES), "Deployment", "Flockwave")
 
 
 def json_schema(name: str) -> dict[str, Any]:
-    """Return the JSON Schema of a message or of the deployment file; KeyError for an unknown name."""
+    """Return the JSON Schema of a message, of the deployment file or of Flockwave's; KeyError for an unknown name."""
+    if name == "Flockwave":
+        return {"$schema": _DIALECT, **flockwave.schema()}
     type_: type[msgspec.Struct] = Deployment if name == "Deployment" else MESSAGES[name]
-    schema: dict[str, Any] = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(type_)}
+    schema: dict[str, Any] = {"$schema": _DIALECT, **msgspec.json.schema(type_)}
     if name in MESSAGES:
         schema["x-rtkmesh"] = {"encoding": encoding_of(MESSAGES[name]), "major": MAJORS.get(name, 1)}
     return schema

@@ -16,6 +16,9 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     ``fix_probability``: that the integers of a fix are right, 0 without a fix. Protection levels are exceeded with the configured risk
     per epoch under stated assumptions (infinite: nothing bounds the error). ``integrity``: ok, failed, unavailable, with
     ``integrity_reason``. No certified integrity: docs/concepts/integrity.md.
+
+    ``clocks_s``: receiver clock minus the system's time, by system in the order GRECJSI. ``float_*``: the solution without integers.
+    ``zenith_delays_m``: of rover and base, where they are estimated; ``glonass_slope_m``: what phases are off per frequency channel.
     """
 
     source: str
@@ -71,12 +74,22 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     protection_vertical_m: float = float("nan")
     integrity: str = "unavailable"
     integrity_reason: str = ""
+    baseline_cov_ecef_m2: Matrix = (float("nan"),) * 9
+    clocks_s: tuple[float, ...] = (float("nan"),) * 7
+    float_position_ecef_m: Vector = (float("nan"), float("nan"), float("nan"))
+    float_velocity_ecef_mps: Vector = (float("nan"), float("nan"), float("nan"))
+    float_acceleration_ecef_mps2: Vector = (float("nan"), float("nan"), float("nan"))
+    zenith_delays_m: tuple[float, float] = (float("nan"), float("nan"))
+    glonass_slope_m: float = float("nan")
+    base_station_id: int = 0
 
 
 class SatellitesMessage(Wire, frozen=True, kw_only=True):
     """Per satellite and signal of the newest epoch.
 
-    ``state`` bits: 1 code used, 2 phase used, 4 fixed, 8 slipped, 16 rejected, 32 half cycle.
+    ``state`` bits: 1 code used, 2 phase used, 4 fixed, 8 slipped, 16 rejected, 32 half cycle. ``lock_epochs``: epochs since the ambiguity
+    began; ``rejects``: epochs in a row in which the phase did not fit; ``ionosphere_m``: delay on L1 along the ray, rover against base and
+    beyond the model, NaN where it is not estimated.
     """
 
     source: str
@@ -93,3 +106,7 @@ class SatellitesMessage(Wire, frozen=True, kw_only=True):
     ambiguity_cyc: list[float]
     lock_s: list[float]
     slips: list[int]
+    ambiguity_variance_cyc2: list[float] = []
+    lock_epochs: list[int] = []
+    rejects: list[int] = []
+    ionosphere_m: list[float] = []

@@ -7,6 +7,7 @@ ServiceError
 │   ├── UnreachableError    no hub answers
 │   └── NamesakeError       another process has this id
 ├── CommandError        a command cannot be done; carries the code of the reply
+├── ConfError           a key or value of an RTKLIB .conf file is wrong
 └── StoppedError        the process was told to end while it waited
 """
 
@@ -47,6 +48,10 @@ class CommandError(ServiceError):
     def __init__(self, code: Code, message: str) -> None:
         super().__init__(message)
         self.code = code
+
+
+class ConfError(ServiceError):
+    """A key or value of an RTKLIB .conf file is wrong; the text names the nearest right one."""
 
 
 class StoppedError(ServiceError):

@@ -13,10 +13,8 @@ from rtkmesh.codecs.framing import Framer
 from rtkmesh.codecs.messages import Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
 from rtkmesh.codecs.nmea_encode import (
-    ErrorEllipse,
     Position,
     SatelliteInView,
-    error_ellipse,
     gga,
     gsa,
     gst,
@@ -27,6 +25,7 @@ from rtkmesh.codecs.nmea_encode import (
     vtg,
     zda,
 )
+from rtkmesh.gnss.ellipse import ErrorEllipse, error_ellipse
 from rtkmesh.gnss.ephemeris import ReceiverFix
 from rtkmesh.gnss.signals import satellite_number
 from rtkmesh.gnss.time import GpsTime

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from rtkmesh.codecs.decimation import Decimator
 from rtkmesh.codecs.messages import Message
 from rtkmesh.codecs.rtcm3_base import BaseEncoder, BaseOptions, at_whole_milliseconds
 from rtkmesh.codecs.rtcm3_thinning import LAST_STEP, ONE_PER_BAND, TWO_BANDS, thinned
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
+from rtkmesh.gnss.decimation import Decimator
 from rtkmesh.gnss.ephemeris import GlonassBias, KeplerEphemeris, NavigationMessage, ReferenceStation
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch, make_epoch
 from rtkmesh.gnss.signals import NO_CHANNEL, carrier_hz, satellite_id, satellite_number, signal_code, signal_number

@@ -49,6 +49,19 @@ def test_an_overtaken_epoch_is_passed_on_late_once():
     assert times(found) == [2350 * 604_800 + t for t in (100.0, 101.0, 100.5, 102.0)]
 
 
+@pytest.mark.parametrize(
+    ("accept", "reject", "epochs"),
+    [((), (), 2), (("ubx/02-15",), (), 2), (("rtcm3/1077",), (), 0), ((), ("ubx/02-15",), 0), (("ubx/02-15",), ("ubx/02-15",), 0)],
+)
+def test_frames_that_are_not_wanted_are_counted_and_not_decoded(accept: tuple[str, ...], reject: tuple[str, ...], epochs: int):
+    decoder = StreamDecoder(StreamOptions(accept=frozenset(accept), reject=frozenset(reject)))
+    frames = decoder.feed(rawx(2350, 100.0) + rawx(2350, 101.0))
+    assert len(frames) == 2
+    assert sum(isinstance(m, Epoch) for _, found in frames for m in found) == epochs
+    assert decoder.decoding.ignored.total() == 2 - epochs
+    assert decoder.framing.frames.total() == 2
+
+
 def test_repeated_and_late_epochs_are_dropped_and_counted():
     """An epoch that comes twice, or long after a newer one, is no epoch."""
     decoder = StreamDecoder()

@@ -10,6 +10,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -34,25 +35,14 @@ def compiled() -> None:
     subprocess.run([sys.executable, "-m", "rtkmesh_services.cli.main", "warm"], check=True, capture_output=True, timeout=280)
 
 
-class Deployment:
-    """A running ``rtkmesh up`` (or ``demo``): its JSON lines, a bus to it, its processes."""
+class Network:
+    """A bus to the processes of a deployment, and all that stem from its start: they inherit its mark."""
 
-    def __init__(self, command: list[str], endpoint: str, environment: dict[str, str] | None = None) -> None:
+    def __init__(self, endpoint: str, environment: dict[str, str] | None = None) -> None:
         self.endpoint = endpoint
         self._mark = f"RTKMESH_TEST={uuid.uuid4().hex}"
         name, _, value = self._mark.partition("=")
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "rtkmesh_services.cli.main", *command],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env={**os.environ, **(environment or {}), name: value},
-        )
-        self.events: list[dict[str, Any]] = []
-        self.log: list[str] = []
-        self._readers = [threading.Thread(target=self._read_events, daemon=True), threading.Thread(target=self._read_log, daemon=True)]
-        for reader in self._readers:
-            reader.start()
+        self.environment = {**os.environ, **(environment or {}), name: value}
         self._bus: Bus | None = None
 
     @property
@@ -92,18 +82,61 @@ class Deployment:
         found: list[dict[str, Any]] = reply.data.get("data", {}).get("processes", []) if reply.ok else []
         return {row["id"]: row for row in found}
 
+    def all_running(self) -> dict[str, dict[str, Any]] | None:
+        rows = self.rows()
+        return rows if rows and all(row["state"] == "RUNNING" for row in rows.values()) else None
+
+    def left(self) -> list[int]:
+        """Return the processes that stem from this deployment and are still there."""
+        pids = [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
+        return [pid for pid in pids if is_running(pid) and self._mark in environment_of(pid)]
+
     def until(self, what: Callable[[], Any], timeout_s: float = 30.0) -> Any:
         """Wait until ``what`` is true; return what it gave."""
         deadline = time.monotonic() + timeout_s
         while not (found := what()):
-            assert self.process.poll() is None, f"it ended with {self.process.returncode}: {self.text()}"
+            self.check()
             assert time.monotonic() < deadline, f"not in {timeout_s} s: {self.text()}"
             time.sleep(POLL_S)
         return found
 
-    def all_running(self) -> dict[str, dict[str, Any]] | None:
-        rows = self.rows()
-        return rows if rows and all(row["state"] == "RUNNING" for row in rows.values()) else None
+    def check(self) -> None:
+        """Fail when it cannot come to a good end any more."""
+
+    def text(self) -> str:
+        """Return what helps to see why a test failed."""
+        return ""
+
+    def kill_left(self) -> None:
+        """Leave nothing: a failed test must not disturb the next one."""
+        if self._bus is not None:
+            self._bus.close()
+        while pids := self.left():  # a control among them may start others until it is gone
+            for pid in pids:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+
+
+class Deployment(Network):
+    """A running ``rtkmesh up`` (or ``demo``): its JSON lines, a bus to it, its processes."""
+
+    def __init__(self, command: list[str], endpoint: str, environment: dict[str, str] | None = None) -> None:
+        super().__init__(endpoint, environment)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "rtkmesh_services.cli.main", *command],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=self.environment,
+        )
+        self.events: list[dict[str, Any]] = []
+        self.log: list[str] = []
+        self._readers = [threading.Thread(target=self._read_events, daemon=True), threading.Thread(target=self._read_log, daemon=True)]
+        for reader in self._readers:
+            reader.start()
+
+    def check(self) -> None:
+        assert self.process.poll() is None, f"it ended with {self.process.returncode}: {self.text()}"
 
     def interrupt(self, number: int = signal.SIGINT, timeout_s: float = 15.0) -> int:
         """Send a signal and return the exit code."""
@@ -121,21 +154,16 @@ class Deployment:
         return code
 
     def left(self) -> list[int]:
-        """Return the processes that stem from this deployment and are still there: they all inherit its mark."""
-        pids = [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
-        return [pid for pid in pids if pid != self.process.pid and is_running(pid) and self._mark in environment_of(pid)]
+        return [pid for pid in super().left() if pid != self.process.pid]
 
     def text(self) -> str:
         return "\n".join([*map(str, self.events[-10:]), *self.log[-80:]])
 
     def close(self) -> None:
-        if self._bus is not None:
-            self._bus.close()
         if self.process.poll() is None:
             self.process.kill()
         self.wait(10.0)
-        for pid in self.left():  # a failed test must not disturb the next one
-            os.kill(pid, signal.SIGKILL)
+        self.kill_left()
 
     def _read_events(self) -> None:
         assert self.process.stdout is not None
@@ -195,7 +223,8 @@ def up(tmp_path: Path, port: int) -> Iterator[Callable[..., Deployment]]:
     def start(text: str, *arguments: str, **environment: str) -> Deployment:
         file = tmp_path / f"deployment{len(made)}.toml"
         file.write_text(f'[hub]\nlisten = ["tcp/127.0.0.1:{port}"]\n{text}')
-        made.append(Deployment(["up", str(file), "--json", *arguments], f"tcp/127.0.0.1:{port}", environment))
+        kept = {"RTKMESH_STATE": str(tmp_path / "state"), **environment}  # nothing of this host's, and nothing for it
+        made.append(Deployment(["up", str(file), "--json", *arguments], f"tcp/127.0.0.1:{port}", kept))
         return made[-1]
 
     yield start

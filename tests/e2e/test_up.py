@@ -102,6 +102,39 @@ def test_reload_applies_only_what_has_changed(up: Up, tmp_path: Path) -> None:
     assert "new `rtkmesh up`" in deployment.ask("control", "reload").message
 
 
+# (text of the file, instead of it, words of the answer)
+BROKEN = [
+    ("[monitor.two]", "[monitor.two", "no TOML"),
+    ("[monitor.two]", "[monitor.two]\nperiod = 2", "did you mean 'period_s'"),
+    ("[monitor.two]", "[monitor.two]\nperiod_s = -1", "> 0.05"),
+    ("[monitor.two]", '[monitor.two]\n[ingest.rover]\nsource = "tpc://a:1"', "did you mean 'tcp'"),
+    ("[monitor.two]", '[monitor.two]\n[ingest.rover]\nsource = "file://none.ubx"', "no such file"),
+    ("[monitor.two]", '[monitor.two]\n[solver.rtk]\nrover = "rover"\nbase = "rover"', "no [ingest.rover]"),
+    ("[monitor.two]", '[monitor.two]\n[ingest.rover]\nsource = "${RTKMESH_NO_SUCH_VARIABLE}"', "has no RTKMESH_NO_SUCH_VARIABLE"),
+    ("[monitor.two]", "[monitor.two]\n# \udcff", "no UTF-8"),
+]
+
+
+def test_a_broken_file_leaves_everything_running(up: Up, tmp_path: Path) -> None:
+    """Whatever is wrong with the file: reload says what, and no process is touched; the right file is taken afterwards."""
+    deployment = up(TWO)
+    before = deployment.until(deployment.all_running)
+    file = tmp_path / "deployment0.toml"
+    text = file.read_text()
+    for good, broken, words in BROKEN:
+        file.write_bytes(text.replace(good, broken).encode(errors="surrogateescape"))
+        reply = deployment.ask("control", "reload")
+        assert not reply.ok, broken
+        assert reply.message.startswith("nothing is changed: "), reply.message
+        assert words in reply.message
+    file.unlink()
+    assert "No such file" in deployment.ask("control", "reload").message
+    assert {id_: row["pid"] for id_, row in deployment.rows().items()} == {id_: row["pid"] for id_, row in before.items()}
+    file.write_text(text + "[monitor.three]\n")
+    assert deployment.ask("control", "reload").data["added"] == ["three"]
+    deployment.until(lambda: (rows := deployment.all_running()) and "three" in rows)
+
+
 def test_busy_port_is_a_clear_error(up: Up, port: int) -> None:
     deployment = up(TWO)
     deployment.until(deployment.all_running)

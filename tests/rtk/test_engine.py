@@ -17,7 +17,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
-from rtkmesh.rtk.solution import Reason, Status
+from rtkmesh.rtk.solution import USED_PHASE, Reason, Status
 
 pytestmark = pytest.mark.data
 BASE = np.array((-3959400.631, 3385704.533, 3667523.111))
@@ -70,6 +70,26 @@ def test_fixed_from_the_first_epoch(recording):
     assert last.baseline_ecef_m == pytest.approx(TRUTH - BASE, abs=0.03)
     assert len(last.satellites.satellite) > 20
     assert np.nanmax(np.abs(last.satellites.phase_residual_m)) < 0.05
+
+
+def test_what_the_filter_knows_beside_the_integers(recording):
+    """The float solution stands near the fix and is not the same; ambiguities have variances and ages; each system has its clock."""
+    solutions, _ = run(*recording)
+    last = solutions[-1]
+    apart_m = last.float_state.position_ecef_m - last.position_ecef_m
+    assert 0.0 < np.linalg.norm(apart_m) < 0.5
+    assert np.linalg.norm(last.float_state.velocity_ecef_mps) < 0.2
+    assert np.isnan(last.float_state.zenith_m)
+    assert not len(last.float_state.satellites)
+    table = last.satellites
+    known = np.isfinite(table.ambiguity_cyc)
+    assert (table.ambiguity_variance_cyc2[known] > 0.0).all()
+    assert np.isnan(table.ambiguity_variance_cyc2[~known]).all()
+    assert table.lock_epochs.max() >= EPOCHS - 1
+    assert not table.rejects[table.state & USED_PHASE != 0].any()
+    assert last.clocks_s[0] == pytest.approx(last.receiver_clock_s)
+    assert np.isfinite(last.clocks_s).tolist() == [True, False, True, False, True, True, False]
+    assert abs(last.clocks_s[2] - last.clocks_s[0]) < 1e-6
 
 
 def test_same_input_same_bits_and_order_of_satellites_irrelevant(recording):

@@ -16,7 +16,7 @@ REFERENCE = Path(__file__).resolve().parents[2] / "docs" / "reference"
 def test_every_key_leads_back_to_its_stream_and_owner():
     """A concrete key names one row of the table and one process, for every row."""
     for stream in STREAMS:
-        names = ("protocol", "satellite", "format", "level", "name", "role", "output")
+        names = ("protocol", "satellite", "format", "level", "name", "role", "output", "word")
         fields = {name: "x1" for name in names if f"{{{name}}}" in stream.template}
         found = stream_of(stream.key("rover_1", **fields))
         assert found is not None

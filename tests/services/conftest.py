@@ -7,9 +7,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -17,7 +18,12 @@ from rtkmesh_schemas.keys import STATUS
 from rtkmesh_schemas.status import ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.runtime.inbox import Inbox
+from rtkmesh_services.runtime.state_files import STATE_VARIABLE
 from rtkmesh_services.runtime.zenoh_bus import ZenohBus, open_bus
+
+if TYPE_CHECKING:
+    from tests.services.flockwave_world import SkybrushClient, World
+    from tests.services.told_solver import Solver
 
 UNDER_TEST = Path(__file__).parent / "process_under_test.py"
 
@@ -149,7 +155,50 @@ def site(tmp_path: Path, hub_port: int) -> Iterator[Fleet]:
     fleet.kill()
 
 
+@pytest.fixture
+def solver(site: Fleet) -> Iterator["Solver"]:
+    """A solver that answers with RTKRCV's texts, and is on the network."""
+    from tests.services.told_solver import Solver
+
+    made = Solver(site)
+    with site.bus("waiter") as bus:
+        site.until(lambda: "rtk" in bus.live())
+    yield made
+    made.close()
+
+
 @pytest.fixture(scope="session")
 def free_port() -> Callable[[], int]:
     """A function that returns a loopback port that nobody listens on."""
     return unused_port
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of a quarter of a megabyte."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "rtkmesh-test", str(folder)], capture_output=True, check=False)
+    if mounted.returncode:
+        pytest.skip(f"cannot mount a tmpfs: {mounted.stderr.decode().strip()}")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.fixture
+def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator["World"]:
+    """Control with Flockwave and two bases, on a clock that stands still."""
+    from tests.services.flockwave_world import World
+
+    monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
+    with closing(World(tmp_path)) as world:
+        yield world
+
+
+@pytest.fixture
+def client(world: "World") -> Iterator["SkybrushClient"]:
+    """A Skybrush client of that world, by TCP."""
+    from tests.services.flockwave_world import SkybrushClient
+
+    with closing(SkybrushClient(world)) as client:
+        yield client

@@ -187,6 +187,24 @@ def surveyed_and_cold(receiver: SimulatedReceiver, make: Make) -> None:
     receiver.power_cycle()
 
 
+def test_a_position_and_its_messages_are_told_by_command(receiver: SimulatedReceiver, make: Make):
+    """As Flockwave's settings do: MSM4 of two systems, then the position; a receiver that lacks one of the messages is told the rest."""
+    receiver.refused = frozenset({"CFG_MSGOUT_RTCM_3X_TYPE1124_USB"})
+    base = make(mode="watch")
+    base.until_state("watching")
+    arguments = {"position_ecef_m": list(PLACE), "accuracy_m": 0.05, "messages": "msm4", "systems": "GE"}
+    assert base.ask("fix_position", **arguments).code is Code.ACCEPTED
+    base.until_state("fixed")
+    assert near(receiver.position())
+    assert receiver.value("CFG_TMODE_FIXED_POS_ACC") == 500
+    numbers = (1005, 1074, 1077, 1084, 1087, 1094, 1097, 1124, 1230)
+    rates = {number: receiver.value(f"CFG_MSGOUT_RTCM_3X_TYPE{number}_USB") for number in numbers}
+    assert rates == {1005: 5, 1074: 1, 1077: 0, 1084: 0, 1087: 0, 1094: 1, 1097: 0, 1124: 0, 1230: 0}
+    assert base.ask("survey_start", messages="msm7").ok
+    base.until_state("surveying")
+    assert [receiver.value(f"CFG_MSGOUT_RTCM_3X_TYPE{number}_UART1") for number in (1074, 1077, 1087, 1230)] == [0, 1, 1, 5]
+
+
 def test_a_preset_is_surveyed_once_and_then_told(receiver: SimulatedReceiver, make: Make):
     """The second start finds a receiver that has lost its power: its fixes agree with what is saved, so it is told that."""
     surveyed_and_cold(receiver, make)
@@ -348,6 +366,12 @@ def test_a_receiver_of_text_that_refuses_is_named(tmp_path: Path, monkeypatch: p
         ("survey_start", {"minimum_s": -1}, Code.BAD_ARGUMENTS),
         ("survey_start", {"accuracy_m": "nan"}, Code.BAD_ARGUMENTS),
         ("survey_start", {"accuracy_m": True}, Code.BAD_ARGUMENTS),
+        ("survey_start", {"messages": "msm9"}, Code.BAD_ARGUMENTS),
+        ("survey_start", {"messages": "msm4", "systems": "GX"}, Code.BAD_ARGUMENTS),
+        ("fix_position", {}, Code.BAD_ARGUMENTS),
+        ("fix_position", {"position_ecef_m": [1.0, 2.0, 3.0]}, Code.BAD_ARGUMENTS),
+        ("fix_position", {"position_ecef_m": "here"}, Code.BAD_ARGUMENTS),
+        ("fix_position", {"position_ecef_m": list(PLACE), "accuracy_m": 0}, Code.BAD_ARGUMENTS),
     ],
 )
 def test_wrong_arguments_are_refused(make: Make, op: str, arguments: dict[str, Any], code: Code):

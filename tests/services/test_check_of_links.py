@@ -38,7 +38,7 @@ FAULTS = {
     SOURCE.format("file://{there}?times=yes"): (2, "neither a .tag nor a .times beside it"),
     SOURCE.format("file://{there}::S=1"): (2, "::S=1 means nothing here; ::T, ::+SECONDS and ::xSPEED do"),
     OUTPUT.format("ntrip://u:${PW}@host/M"): (3, "says nothing where it needs solver or receiver"),
-    OUTPUT.format("ntrip://u:${PW}@host/M") + 'solver = "rtk"\n': (4, "casters take a receiver's frames, not a solver's lines"),
+    OUTPUT.format("zenoh://") + 'receiver = "base"\n': (4, "a receiver's frames are on the network already"),
     OUTPUT.format("ntrip://u:${PW}@host") + 'receiver = "base"\n': (4, "says no mount point to feed"),
     OUTPUT.format("ntrip://u:${PW}@host/M") + 'receiver = "bas"\n': (5, "no [ingest.bas]; did you mean 'base'?"),
     OUTPUT.format("ntrip://u:${PW}@host/M") + 'receiver = "base"\nprotocol = "rtcm"\n': (6, "did you mean 'rtcm3'?"),

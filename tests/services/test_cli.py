@@ -14,7 +14,7 @@ from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_schemas.observation import Observation
 from rtkmesh_schemas.wire import encode, encoding_of
 from rtkmesh_services.cli.check import check
-from rtkmesh_services.cli.cmd import arguments
+from rtkmesh_services.cli.cmd import show_reply
 from rtkmesh_services.cli.echo import full_expression, line_of, page_of
 from rtkmesh_services.cli.main import COMMANDS
 from rtkmesh_services.cli.network import EXIT_FAILED, EXIT_REFUSED, EXIT_TIMEOUT, EXIT_UNREACHABLE, EXIT_USAGE, exit_code
@@ -24,6 +24,7 @@ from rtkmesh_services.cli.up import Foreground
 from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.configuration import load_site
+from rtkmesh_services.runtime.console_words import WordError, arguments
 from rtkmesh_services.runtime.shipped import config_path
 
 
@@ -42,6 +43,7 @@ def rtkmesh(*words: str) -> "subprocess.CompletedProcess[str]":
         ("x", ("n=3", "flag=true", "name=a b"), {"n": 3, "flag": True, "name": "a b"}),
         ("x", ("list=[1,2]", "expr=a=b"), {"list": [1, 2], "expr": "a=b"}),
         ("restart", ("rover",), {"id": "rover"}),
+        ("x", ("a=NaN", "b=9" + "9" * 20, "c=1e999"), {"a": "NaN", "b": "9" * 21, "c": "1e999"}),
         ("status", (), {}),
     ],
 )  # fmt: skip
@@ -50,10 +52,10 @@ def test_words_become_arguments(op: str, words: tuple[str, ...], values: dict[st
     assert arguments(op, words) == values
 
 
-def test_a_word_too_many_is_said(capsys: pytest.CaptureFixture[str]):
+def test_a_word_too_many_is_said():
     """A bare word where none belongs is a mistake, not an argument without a name."""
-    assert arguments("load", ("a.toml", "b.toml")) is None
-    assert "'b.toml' is no argument of load" in capsys.readouterr().err
+    with pytest.raises(WordError, match="is no argument of load"):
+        arguments("load", ("a.toml", "b.toml"))
 
 
 @pytest.mark.parametrize(
@@ -264,3 +266,11 @@ def test_the_farewell_of_up_has_a_part_for_each_thing_it_knows(capsys: pytest.Ca
     foreground = Foreground(load_site(file, None, ""), LaunchOptions(file), reason="it is enough", seconds=1.25)
     foreground.report()
     assert capsys.readouterr().err == "ended after 1.2 s (it is enough); 0 restarts\n"
+
+
+def test_a_screen_is_shown_as_rtkrcv_does_and_other_answers_with_their_data() -> None:
+    said: list[str] = []
+    reply = Reply(ok=True, code=Code.OK, message="1 satellites", data={"satellite": ["G01"]}, id="rtk", text="SAT C1\nG01 OK\x07\n")
+    show_reply(reply, said.append, as_screen=True)
+    show_reply(reply, said.append)
+    assert said == ["rtk: 1 satellites\nSAT C1\nG01 OK\ufffd\n", "rtk: 1 satellites\n  satellite:\n    G01\n"]

@@ -16,7 +16,7 @@ from rtkmesh_services.cli.main import COMMANDS, application
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "benchmarks" / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
-MADE = {REPOSITORY / "docs" / "reference" / "keys.md"}  # generated, has a test of its own
+MADE = {REPOSITORY / "docs" / "reference" / name for name in ("keys.md", "conf_keys.md")}  # generated, have tests of their own
 
 # What the fragments of how-tos refer to.
 SURROUNDINGS = {
@@ -128,7 +128,7 @@ def test_the_unit_is_one_that_systemd_takes(tmp_path: Path):
     if shutil.which("systemd-analyze") is None:
         pytest.skip("no systemd-analyze here")
     text = (REPOSITORY / "deploy" / "systemd" / "rtkmesh@.service").read_text()
-    assert text.count("/opt/rtkmesh/bin/rtkmesh ") == 3
+    assert text.count("/opt/rtkmesh/bin/rtkmesh ") == 4
     unit = tmp_path / "rtkmesh@robot.service"
     unit.write_text(text.replace("/opt/rtkmesh/bin/rtkmesh", shutil.which("true") or "/bin/true"))
     done = subprocess.run(["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False)

@@ -4,7 +4,7 @@ import pytest
 
 from rtkmesh_schemas.config import AttitudeTable, Deployment, IngestTable, OutputTable, SolverTable
 from rtkmesh_schemas.errors import ConfigError
-from rtkmesh_schemas.keys import CREDIT, SOL_TEXT, Role
+from rtkmesh_schemas.keys import CREDIT, SOL, Role
 from rtkmesh_services.runtime.clock import ManualClock
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
@@ -43,14 +43,14 @@ class Replay:
 
 
 def test_a_replay_waits_for_outputs_and_attitudes() -> None:
-    """Ready when both are alive and the output's format is subscribed to, and at once then."""
+    """Ready when both are alive and the solutions are subscribed to, and at once then."""
     replay = Replay()
     taker = MemoryBus("pos", replay.network)
     taker.live_token("output", "pos")
     taker.live_token("attitude", "heading")
     replay.step(1.0)
     assert not replay.is_ready
-    taker.subscribe(SOL_TEXT.key("rtk", format="llh"), lambda _: None)
+    taker.subscribe(SOL.key("rtk"), lambda _: None)
     replay.step(0.1)
     assert replay.is_ready
 

@@ -15,7 +15,8 @@ import pytest
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.control.fleet import ProcessSpec, clean_environment
 from rtkmesh_services.control.forking import PATIENCE_S, RETRY_S, ForkServer
-from rtkmesh_services.control.process import Child, OutputLine, start_program
+from rtkmesh_services.control.output import OutputLine
+from rtkmesh_services.control.process import Child, start_program
 
 PR_SET_CHILD_SUBREAPER = 36
 COMMAND = (sys.executable, "-m", "rtkmesh_services.cli.main")

@@ -7,7 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from rtkmesh_services.runtime.kernel_cache import UNUSED_S, VARIABLE, engine_hash, forget_old, use_kernel_cache
+import rtkmesh
+from rtkmesh_services.runtime.kernel_cache import (
+    UNUSED_S,
+    VARIABLE,
+    engine_hash,
+    forget_old,
+    module_of,
+    needed_by_kernels,
+    use_kernel_cache,
+)
 
 
 def test_the_folder_is_named_by_the_sources_and_given_on_as_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -18,22 +27,45 @@ def test_the_folder_is_named_by_the_sources_and_given_on_as_it_is(monkeypatch: p
     assert use_kernel_cache() == folder
 
 
-def test_a_changed_kernel_of_another_file_means_another_folder(tmp_path: Path) -> None:
-    """A copy of the engine with one changed comment has its own folder."""
-    package = tmp_path / "rtkmesh" / "gnss"
-    package.mkdir(parents=True)
-    for name, text in (("rtkmesh/__init__.py", "__version__ = '0'\n"), ("rtkmesh/gnss/frames.py", "# one\n")):
-        (tmp_path / name).write_text(text)
+def test_a_change_of_what_kernels_depend_on_means_another_folder(tmp_path: Path) -> None:
+    """A file with a kernel, and what it imports however it says so, count; a file that no kernel needs does not."""
+    files = {
+        "__init__.py": "",
+        "_jit.py": "# one\n",
+        "gnss/__init__.py": "",
+        "gnss/frames.py": "from rtkmesh._jit import kernel\nfrom rtkmesh.gnss import constants\n\n\n@kernel\ndef f(): ...\n",
+        "gnss/constants.py": "from rtkmesh.gnss.deeper import (\n    A,\n)\n",
+        "gnss/deeper.py": "A = 1\n",
+        "gnss/words.py": "from rtkmesh.gnss.frames import f\n",
+    }
+    for name, text in files.items():
+        path = tmp_path / "rtkmesh" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
     program = "from rtkmesh_services.runtime.kernel_cache import engine_hash; print(engine_hash())"
 
     def name_of_state() -> str:
         environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
         return subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True).stdout
 
-    before = name_of_state()
-    assert before == name_of_state()
-    (package / "frames.py").write_text("# two\n")
-    assert name_of_state() != before
+    states = [name_of_state()]
+    assert states[0] == name_of_state()
+    for name in ("_jit.py", "gnss/frames.py", "gnss/constants.py", "gnss/deeper.py"):
+        (tmp_path / "rtkmesh" / name).write_text(files[name] + "# changed\n")
+        states.append(name_of_state())
+    assert len(set(states)) == len(states)
+    (tmp_path / "rtkmesh/gnss/words.py").write_text("# changed\n")
+    assert name_of_state() == states[-1]
+
+
+def test_every_kernel_of_the_engine_counts() -> None:
+    """What is compiled is in the hash: the modules of all kernels, and the constants that they take."""
+    root = Path(rtkmesh.__file__).parent
+    texts = {module_of(path, root): path.read_bytes() for path in root.rglob("*.py")}
+    needed = needed_by_kernels(texts)
+    assert {name for name, text in texts.items() if b"@kernel" in text} <= needed
+    assert {"rtkmesh._jit", "rtkmesh.gnss.constants", "rtkmesh.rtk.solution"} <= needed
+    assert not {name for name in needed if name.startswith("rtkmesh.attitude")}
 
 
 def test_a_folder_that_cannot_be_made_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.services.roles_in_one_process import Site, settle
 
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.scenario import open_stream, truth
@@ -61,23 +62,14 @@ class World:
         self.taken = 0
 
     def begin(self, name: str, role: Role, make: Callable[[Context], Service]) -> None:
-        bus = self.buses[name] = MemoryBus(name, self.network)
-        life = self.lives[name] = Lifecycle(
-            make(Context(id=name, role=role, deployment=self.deployment, bus=bus, clock=self.clock)), warm_in_thread=False
-        )
-        life.start()
-        life.step(0.0)
+        self.lives[name], self.buses[name] = Site(self.network, self.clock).begin(name, role, make, self.deployment)
         self.settle()
 
     def listen(self) -> None:
         self.begin("radio", Role.OUTPUT, create_output)
 
     def settle(self) -> None:
-        for _ in range(2):
-            for life in self.lives.values():
-                while life.context.inbox.depth():
-                    life.step(0.0)
-                life.step(0.0)
+        settle(self.lives.values())
 
     def made(self) -> list[bytes]:
         return [sample.payload for sample in self.buses["base"].sent(MADE, output="radio")]

@@ -9,7 +9,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,12 +24,12 @@ from rtkmesh_schemas.keys import EVENT, RAW, Role
 from rtkmesh_schemas.status import Event, ServiceStatus, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.cli.main import run
-from rtkmesh_services.recorder.raw_log import MAXIMUM_PENDING, RawLog
 from rtkmesh_services.recorder.recovery import recover
 from rtkmesh_services.recorder.service import RecorderService
 from rtkmesh_services.runtime.clock import Clock
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
+from rtkmesh_services.runtime.raw_log import MAXIMUM_PENDING, RawLog
 from rtkmesh_services.runtime.service import Context
 from rtkmesh_services.runtime.time_tags import parse_tag, parse_times
 
@@ -97,18 +96,6 @@ def test_without_a_list_all_receivers_are_recorded(tmp_path: Path):
     assert sorted(path.name.split("-")[0] for path in tmp_path.glob("*.rtcm3")) == ["base", "rover"]
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of a quarter of a megabyte."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "rtkmesh-test", str(folder)], capture_output=True, check=False)
-    if mounted.returncode:
-        pytest.skip(f"cannot mount a tmpfs: {mounted.stderr.decode().strip()}")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
 def test_a_full_disk_stops_the_recording_between_frames_and_room_brings_it_back(small_disk: Path):
     """DEGRADED and an event, then RUNNING and an event; what came meanwhile waited in memory: nothing is lost or damaged."""
     ballast = small_disk / "ballast"
@@ -168,7 +155,7 @@ def test_a_disk_that_hangs_in_fsync_blocks_nobody(tmp_path: Path, monkeypatch: p
         assert released.wait(10.0)
         real(descriptor)
 
-    monkeypatch.setattr("rtkmesh_services.recorder.raw_log.os.fsync", fsync)
+    monkeypatch.setattr("rtkmesh_services.runtime.raw_log.os.fsync", fsync)
     recorder = Recorder(tmp_path)
     recorder.send(FRAMES[0])
     assert hanging.wait(10.0)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.services.roles_in_one_process import Site, settle
 
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.simulation.scenario import SimulatedEpoch, open_stream, truth
@@ -84,20 +85,12 @@ class World:
         self.settle()
 
     def begin(self, name: str) -> None:
-        role, make = ROLES[name]
-        bus = self.buses[name] = MemoryBus(name, self.network)
-        context = Context(id=name, role=role, deployment=self.deployment, bus=bus, clock=self.clock, config_folder=self.folder)
-        life = self.lives[name] = Lifecycle(make(context), warm_in_thread=False)
-        life.start()
-        life.step(0.0)
+        site = Site(self.network, self.clock, self.folder)
+        self.lives[name], self.buses[name] = site.begin(name, *ROLES[name], self.deployment)
 
     def settle(self) -> None:
         """Step all until nothing waits."""
-        for _ in range(2):
-            for life in self.lives.values():
-                while life.context.inbox.depth():
-                    life.step(0.0)
-                life.step(0.0)
+        settle(self.lives.values())
 
     def play(self, epochs: int, *, damage: bytes = b"") -> None:
         """Let each receiver send its next epochs; ``damage`` is what the wire adds between them."""
@@ -186,7 +179,11 @@ def test_load_takes_a_table_below_the_folder_and_nothing_else(world: World) -> N
     (world.folder / "plain.toml").write_text('[solver]\nrover = "rover"\nmode = "single"\n')
     (world.folder / "typo.toml").write_text('[solver]\nrover = "rover"\nelmask = 10\n')
     world.play(6)
-    assert world.ask("rtk", "op=load&file=plain.toml").ok
+    loaded = world.ask("rtk", "op=load&file=plain.toml")
+    assert (loaded.message, loaded.data["applied"]) == ("Options loaded. Restart to enable them", "on_restart")
+    world.play(1)
+    assert world.solutions()[-1].status_name != "SINGLE"
+    assert world.ask("rtk", "op=restart").ok
     world.play(3)
     assert [s.status_name for s in world.solutions()[-3:]] == ["SINGLE"] * 3
     typo = world.ask("rtk", "op=load&file=typo.toml")

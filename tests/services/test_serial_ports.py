@@ -22,11 +22,12 @@ from rtkmesh_schemas.wire import decode
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest import serial_ports
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
-from rtkmesh_services.ingest.serial_ports import find_port
 from rtkmesh_services.ingest.service import IngestService
 from rtkmesh_services.ingest.urls import parse_source
+from rtkmesh_services.runtime import serial_device
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
+from rtkmesh_services.runtime.serial_device import find_port
 from rtkmesh_services.runtime.service import Context
 
 WAIT_S = 15.0
@@ -200,7 +201,7 @@ def test_ports_are_found_by_their_usb_ids(tmp_path: Path, monkeypatch: pytest.Mo
         find_port("1546:01a8", PORTS)
     for name in ("usb-u-blox_ZED-if00", "usb-u-blox_ZED-if02", "usb-FTDI_x-if00-port0"):
         (tmp_path / name).touch()
-    monkeypatch.setattr(serial_ports, "BY_ID", tmp_path)
+    monkeypatch.setattr(serial_device, "BY_ID", tmp_path)
     assert find_port("by-id/usb-FTDI") == str(tmp_path / "usb-FTDI_x-if00-port0")
     assert find_port("by-id/usb-u-blox*if02") == str(tmp_path / "usb-u-blox_ZED-if02")
     with pytest.raises(SourceError, match="2 of them"):

@@ -15,10 +15,12 @@ from hypothesis import strategies as st
 
 from rtkmesh_schemas.config import ControlTable
 from rtkmesh_schemas.keys import Role
+from rtkmesh_services.control.endpoints import accepts, is_free, tcp_address
 from rtkmesh_services.control.fleet import ProcessSpec
-from rtkmesh_services.control.keeper import Keeper, accepts, is_free, tcp_address
-from rtkmesh_services.control.process import OutputLine, parse_line
-from rtkmesh_services.control.supervisor import Action, ProcessState, Supervisor, Verb
+from rtkmesh_services.control.keeper import Keeper
+from rtkmesh_services.control.output import OutputLine, parse_line
+from rtkmesh_services.control.records import Action, ProcessState, Verb
+from rtkmesh_services.control.supervisor import Supervisor
 
 LIMITS = ControlTable()
 HUB = ProcessSpec("hub", Role.HUB, ("hub",))
@@ -79,6 +81,24 @@ def test_first_heartbeat_makes_it_running_and_one_of_another_pid_does_not() -> N
     assert fleet.row("rover")["state"] == "STARTING"
     fleet.run(0.1, beat=("rover",))
     assert fleet.row("rover")["state"] == "RUNNING"
+
+
+def test_a_process_that_is_included_again_while_it_ends_comes_back_with_its_new_definition() -> None:
+    fleet = Fleet(HUB, ROVER)
+    base = ProcessSpec("base_near", Role.INGEST, ("near",))
+    fleet.supervisor.include(base, fleet.now_s)
+    assert spawns(fleet.run()) == ["base_near"]
+    fleet.supervisor.include(base, fleet.now_s)
+    assert fleet.run(1.0) == []  # nothing has changed
+    fleet.supervisor.remove("base_near", fleet.now_s)
+    changed = ProcessSpec("base_near", Role.INGEST, ("other",))
+    fleet.supervisor.include(changed, fleet.now_s)
+    assert [action.verb for action in fleet.run()] == [Verb.TERMINATE]
+    fleet.die("base_near", 0)
+    assert spawns(fleet.run(0.2)) == ["base_near"]
+    record = fleet.supervisor.record("base_near")
+    assert record is not None
+    assert record.spec == changed
 
 
 def test_back_off_doubles_from_the_first_to_the_last_delay() -> None:

@@ -25,7 +25,9 @@ from rtkmesh_services.ingest.credit import CreditGate
 from rtkmesh_services.ingest.recording import TimedRecording, open_recording
 from rtkmesh_services.ingest.replay import Ended, Pace, Played, Replay
 from rtkmesh_services.ingest.urls import parse_source
-from rtkmesh_services.output.targets import FileTarget, parse_target
+from rtkmesh_services.output.files import FileSink
+from rtkmesh_services.output.sender import Header
+from rtkmesh_services.output.targets import parse_target
 from rtkmesh_services.recorder.service import RecorderService
 from rtkmesh_services.runtime.clock import Clock, ManualClock
 from rtkmesh_services.runtime.lifecycle import Lifecycle
@@ -188,9 +190,10 @@ def test_rtklibs_way_to_write_paths() -> None:
     target = parse_target("file:///logs/%Y.pos::S=6")
     assert (target.path, target.swap_hours) == ("/logs/%Y.pos", 6.0)
     assert parse_target("file:///logs/a.pos?swap=0.5").swap_hours == 0.5
+    assert (parse_target("file:///logs/a.pos::T").tags, parse_target("file:///logs/a.pos").tags) == (True, False)
     with pytest.raises(SourceError, match="means nothing here"):
         parse_source("file:///logs/a.ubx::S=1")
-    for wrong in ("file://x?swap=often", "file://x::T", "file://::S=1"):
+    for wrong in ("file://x?swap=often", "file://x::X", "file://::S=1", "file://x?tags=maybe", "file://x?margin=-1"):
         with pytest.raises(SourceError):
             parse_target(wrong)
 
@@ -203,20 +206,20 @@ def test_keywords_are_in_gps_time() -> None:
 
 
 def test_files_are_swapped_at_whole_hours_and_never_overwritten(tmp_path: Path) -> None:
-    now_ns = UTC_NS
-    target = FileTarget(f"{tmp_path}/%h.pos", 1.0, lambda: now_ns)
-    target.send(b"header\n", b"one\n")
-    now_ns += 29 * 60 * 1_000_000_000
-    target.send(b"header\n", b"two\n")
-    now_ns += 2 * 60 * 1_000_000_000
-    target.send(b"header\n", b"three\n")
-    target.close()
-    again = FileTarget(f"{tmp_path}/%h.pos", 1.0, lambda: now_ns)
-    again.send(b"header\n", b"four\n")
-    again.close()
+    clock, url = ManualClock(utc_ns=UTC_NS), parse_target(f"file://{tmp_path}/%h.pos?swap=1")
+    sink = FileSink(url, Header(b"header\n"), clock)
+    sink.send(b"one\n")
+    clock.advance(29 * 60.0)
+    sink.send(b"two\n")
+    clock.advance(2 * 60.0)
+    sink.send(b"three\n")
+    assert sink.close() == ""
+    again = FileSink(url, Header(b"header\n"), clock)
+    again.send(b"four\n")
+    assert again.close() == ""
     texts = {path.name: path.read_text() for path in tmp_path.iterdir()}
     assert texts == {"09.pos": "header\none\ntwo\n", "10.pos": "header\nthree\n", "10-1.pos": "header\nfour\n"}
-    assert swap_number(UTC_NS, 0.0) == swap_number(now_ns, 0.0) == 0
+    assert swap_number(UTC_NS, 0.0) == swap_number(clock.utc_ns(), 0.0) == 0
 
 
 def test_a_recorder_swaps_its_logs(tmp_path: Path) -> None:

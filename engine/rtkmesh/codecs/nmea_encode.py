@@ -5,9 +5,11 @@ Angles are degrees, as the sentences have them; values that are not known (NaN, 
 
 from collections.abc import Iterable, Sequence
 from datetime import datetime, timedelta
-from math import atan2, degrees, isfinite, nan, sqrt
+from math import isfinite, nan
 from typing import Final, NamedTuple
 
+from rtkmesh.gnss.ellipse import ErrorEllipse
+from rtkmesh.gnss.sentences import sentence
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, NAVIC, QZSS, SATELLITES_PER_SYSTEM, SBAS
 
 KNOTS_PER_MPS: Final = 3600.0 / 1852.0
@@ -40,22 +42,6 @@ class SatelliteInView(NamedTuple):
     cn0_dbhz: float = nan
 
 
-class ErrorEllipse(NamedTuple):
-    """One sigma: half axes (m) and the larger one's direction from true north (degrees, 0 to 180)."""
-
-    major_m: float
-    minor_m: float
-    direction_deg: float
-
-
-def sentence(body: str) -> str:
-    """Return a sentence with its frame: ``$``, checksum, line end (NMEA 0183 4.11, 5.3)."""
-    check = 0
-    for byte in body.encode("ascii"):
-        check ^= byte
-    return f"${body}*{check:02X}\r\n"
-
-
 def gga(
     utc: datetime, place: Position | None, quality: int, satellites: int, *, hdop: float = nan, age_s: float = nan,
     station_id: int | None = None, talker: str = "GN",
@@ -86,14 +72,6 @@ def gst(
     axes = f"{_number(ellipse.major_m, 3)},{_number(ellipse.minor_m, 3)},{_number(ellipse.direction_deg, 1)}"
     sigmas = ",".join(_number(sigma, 3) for sigma in (sigma_lat_m, sigma_lon_m, sigma_height_m))
     return sentence(f"{talker}GST,{_clock(utc)},{_number(rms_m, 3)},{axes},{sigmas}")
-
-
-def error_ellipse(north_m2: float, east_m2: float, north_east_m2: float) -> ErrorEllipse:
-    """Return the ellipse of a horizontal covariance (its eigenvalues and eigenvectors in closed form)."""
-    mean, half = (north_m2 + east_m2) / 2.0, (north_m2 - east_m2) / 2.0
-    spread = sqrt(half * half + north_east_m2 * north_east_m2)
-    direction_deg = degrees(atan2(north_east_m2, half) / 2.0) % 180.0
-    return ErrorEllipse(sqrt(max(mean + spread, 0.0)), sqrt(max(mean - spread, 0.0)), direction_deg)
 
 
 def gsa(satellites: Iterable[int], fix: int, pdop: float, hdop: float, vdop: float) -> list[str]:

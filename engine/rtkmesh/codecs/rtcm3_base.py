@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.codecs.decimation import Decimator
 from rtkmesh.codecs.messages import Message
 from rtkmesh.codecs.rtcm3_encode import (
     PhaseLeveller,
@@ -24,6 +23,7 @@ from rtkmesh.codecs.rtcm3_encode import (
 )
 from rtkmesh.codecs.rtcm3_thinning import ByteBudget, thinned
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
+from rtkmesh.gnss.decimation import Decimator
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassBias, GlonassEphemeris, KeplerEphemeris, ReferenceStation
 from rtkmesh.gnss.epoch import SLIP, Epoch
 from rtkmesh.gnss.signals import MAX_SATELLITE, MAX_SIGNAL, SATELLITES_PER_SYSTEM, SYSTEMS

@@ -197,7 +197,7 @@ class EpochGatherer:
     def add(self, kind: str, part: Part) -> list[Epoch]:
         """Take one message and return the epochs that it completes (none, one, or a forgotten one and its own)."""
         assert self.clock is not None, "the owner holds messages until a time is known"
-        tag_ms = week_ms(part.system, part.tag, self.clock)
+        tag_ms = week_ms(part.system, int(part.tag), self.clock)
         if tag_ms is None or self._lacks_day(part):
             self._rejected[f"{kind} epoch time"] += 1
             return []

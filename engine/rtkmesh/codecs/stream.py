@@ -49,7 +49,8 @@ class StreamOptions:
 
     ``receiver`` are RTKLIB's options. ``approximate_time`` (within three days of the first epoch) settles weeks until the stream does it
     itself. ``antenna`` 2 takes the observations of a receiver's second antenna (3: of its third): those that the receiver sends as
-    RTCM 3 are of its first one and are refused then.
+    RTCM 3 are of its first one and are refused then. Frames in ``reject`` and, with ``accept``, all but those (``rtcm3/1077``) are not
+    decoded.
     """
 
     protocols: Collection[Protocol] = FRAMED
@@ -57,6 +58,13 @@ class StreamOptions:
     approximate_time: GpsTime | None = None
     receiver: ReceiverOptions = field(default_factory=ReceiverOptions)
     antenna: int = MAIN_ANTENNA
+    accept: frozenset[str] = frozenset()
+    reject: frozenset[str] = frozenset()
+
+    def wants(self, frame: Frame) -> bool:
+        """Return whether a frame is to be decoded."""
+        name = f"{frame.protocol.value}/{frame.kind}"
+        return name not in self.reject and (not self.accept or name in self.accept)
 
 
 _SAME_EPOCH_S: Final = 5e-4  # epochs of one protocol that are closer than this are the same
@@ -134,7 +142,8 @@ class StreamDecoder:
     """Decodes the bytes of one receiver."""
 
     def __init__(self, options: StreamOptions | None = None) -> None:
-        options = options or StreamOptions()
+        self.options = options = options or StreamOptions()
+        self._filters = bool(options.accept or options.reject)
         self._framer = Framer(options.protocols)
         near, wanted = options.approximate_time, options.receiver
         self._repeats, self._stage = wanted.all_ephemerides, OptionStage(wanted)
@@ -194,19 +203,24 @@ class StreamDecoder:
     def _decode_all(self, frames: list[Frame]) -> list[tuple[Frame, list[Message]]]:
         found: list[tuple[Frame, list[Message]]] = []
         for kind, same in groupby(frames, _KIND):
-            if kind == _SUBFRAMES:
-                run = list(same)
+            run = list(same)
+            if self._filters and not self.options.wants(run[0]):
+                found += [(frame, self._left_out(frame)) for frame in run]
+            elif kind == _SUBFRAMES:
                 lists = self._ubx.decode_subframes(run)
                 found += [(frame, self._pass_on(some, Protocol.UBX) if some else some) for frame, some in zip(run, lists, strict=True)]
             else:
-                found += [(frame, self._decode(frame)) for frame in same]
+                found += [(frame, self._decode(frame)) for frame in run]
         return found
+
+    def _left_out(self, frame: Frame) -> list[Message]:
+        self._dropped.ignore(frame.protocol, frame.kind)
+        return []
 
     def _decode(self, frame: Frame) -> list[Message]:
         decoder = self._decoders.get(frame.protocol)
         if decoder is None:
-            self._dropped.ignore(frame.protocol, frame.kind)
-            return []
+            return self._left_out(frame)
         messages = decoder.decode(frame)
         return self._pass_on(messages, frame.protocol) if messages else messages
 

@@ -99,6 +99,17 @@ class EphemerisTable:
         select_issues(self.issues, satellites, _seconds(time), include_unhealthy, out)
         return out
 
+    def newest(self) -> tuple[Row, list[GpsTime]]:
+        """Return one row (n, ROW) per known satellite, the issue that was sent last, healthy or not, and when each was sent."""
+        rows: list[Row] = []
+        sent: list[GpsTime] = []
+        for satellite in np.flatnonzero(self._count).tolist():
+            keys = self._keys[satellite, : self._count[satellite]]
+            last = int(np.lexsort((keys[:, _TOE_S], keys[:, _SENT_S]))[-1])
+            rows.append(self._rows[satellite, last])
+            sent.append(GpsTime.normalized(0, float(keys[last, _SENT_S])))
+        return np.array(rows).reshape(-1, ROW), sent
+
     @property
     def issues(self) -> Issues:
         """What kernels take; not to be written to."""

@@ -24,18 +24,19 @@ from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locat
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed
 from rtkmesh.rtk.complements import BaseEpochs, complemented
+from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.informed import INFORMED_FROM_M
-from rtkmesh.rtk.integrity import SURENESS, IntegritySetup, sureness
-from rtkmesh.rtk.matching import matching_rules
-from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, forget, new_memory, resolve_setup
+from rtkmesh.rtk.integrity import SURENESS, sureness
+from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, forget, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
-from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Setup, Solved, differences_of, solve, solve_pair, walks_of
+from rtkmesh.rtk.overview import Overview, overview_of
+from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Solved, differences_of, solve, solve_pair, walks_of
 from rtkmesh.rtk.report import IS_FIXED, ODDS, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
-from rtkmesh.rtk.slips import SlipSetup
+from rtkmesh.rtk.setup import setup_of
 from rtkmesh.rtk.solution import Reason, Solution
-from rtkmesh.rtk.state import FilterState, length_m, new_filter, trace
+from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, FilterState, length_m, new_filter, trace
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -43,10 +44,6 @@ Matrix = NDArray[np.float64]
 _DECAY_S: Final = 5.0  # accelerations of robots last seconds
 _RESEED_S: Final = 4.0  # beyond this gap the motion model says nothing and the single-point position takes over
 _FORGET_S: Final = 65.0  # beyond this gap nothing is left
-# Sigmas of position (m), velocity (m/s) and acceleration (m/s2) of a new filter: of what moves, stands, and has a known position.
-_SEED_MOVING: Final = np.array((30.0, 10.0, 3.0))
-_SEED_STANDING: Final = np.array((30.0, 1e-6, 1e-6))
-_SEED_FIXED: Final = np.array((1e-4, 1e-6, 1e-6))
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
 _ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
 _ABSURD_EPOCHS: Final = 3
@@ -74,23 +71,8 @@ class Past(NamedTuple):
         forget(self.memory)
 
 
-def _setup_of(options: RtkOptions) -> Setup:
-    """Return the options for kernels."""
-    moving_base, slip, noise, ambiguity = options.mode is Mode.MOVING_BASE, options.slip, options.noise, options.ambiguity
-    return Setup(
-        matching_rules(options.systems, options.frequencies, options.excluded, options.cn0_mask_dbhz),
-        SlipSetup(slip.time_difference_cyc, slip.maximum_gap_s, moving_base, True),
-        resolve_setup(ambiguity, options.baseline_length_m if moving_base else None, options.baseline_sigma_m),
-        noise.phase_a_m, noise.phase_b_m, noise.code_ratio, noise.ephemeris_m_per_m, options.elevation_mask_rad,
-        ambiguity.elevation_mask_rad, float(ambiguity.minimum_lock_epochs), options.dynamics.ambiguity_cyc, options.mode is not Mode.DGPS,
-        ambiguity.mode is not AmbiguityMode.OFF, _integrity_setup(options), ambiguity.failure_rate,
-        NO_PATTERNS,
-    )  # fmt: skip
-
-
-def _integrity_setup(options: RtkOptions) -> IntegritySetup:
-    independent = options.ambiguity.mode is not AmbiguityMode.FIX_AND_HOLD
-    return IntegritySetup(options.integrity.enabled, options.integrity.risk, independent)
+def _motion_of(options: RtkOptions) -> Motion:
+    return Motion(options.dynamics.acceleration_horizontal_mps2, options.dynamics.acceleration_vertical_mps2, _DECAY_S)
 
 
 class Rtk:
@@ -110,21 +92,57 @@ class Rtk:
         self._was_fixed = False
         self._klobuchar: KlobucharParameters | None = None
         self._point = self._point_setup(None)
-        self._setup = _setup_of(options)
-        motion = options.dynamics
-        self._motion = Motion(motion.acceleration_horizontal_mps2, motion.acceleration_vertical_mps2, _DECAY_S)
+        self._setup = setup_of(options)
+        self._motion = _motion_of(options)
         self._bases = BaseEpochs()
+        self._keeps_baseline = False  # the next base position changes what was known of the base, not the baseline
+        self._single: Located | None = None
 
     def antennas(self, rover: Antenna | None, base: Antenna | None) -> None:
         """Take the antennas of both ends; None where one is not known, and then neither is corrected: half a correction is worse than none.
 
-        A change begins the filter anew: its ambiguities stand for the phase centres that were.
+        A change begins the filter anew, if it has ambiguities: they stand for the phase centres that were.
         """
         patterns = NO_PATTERNS if rover is None or base is None else join_patterns(rover, base)
         if np.array_equal(patterns, self._setup.antennas):
             return
         self._setup = self._setup._replace(antennas=patterns)
-        self.reset()
+        if self._state is None or len(self._state.filter.keys):
+            self.reset()
+
+    def with_other_base(self) -> "Rtk":
+        """Return an engine for the same rover and another base: what does not depend on the base goes on, this engine is not changed.
+
+        The baseline of a moving base is another one then: nothing of it goes on.
+        """
+        other = Rtk(self.options, self.direction)
+        other._klobuchar, other._point, other._setup = self._klobuchar, self._point, self._setup
+        other._resets, other._was_fixed = self._resets, self._was_fixed
+        if self._state is not None and self.options.mode is not Mode.MOVING_BASE:
+            sigma_m = 0.0 if self.options.mode is Mode.FIXED else float(SEED_MOVING[0])
+            other._state = self._state.for_other_base(sigma_m)
+        return other
+
+    def go_on(self, options: RtkOptions) -> Continuation:
+        """Take other options and keep the filter, where it can go on under them; else change nothing and say why.
+
+        The next epoch is the first one under them. Ambiguities always stay; integers unless the way of using them is another.
+        """
+        now, state = self.options, self._state
+        if why := obstacle(now, options, state):
+            return Continuation(why)
+        moved = self._moves
+        self.options = options
+        self._setup = setup_of(options)._replace(antennas=self._setup.antennas)
+        self._motion, self._point = _motion_of(options), self._point_setup(self._klobuchar)
+        self._keeps_baseline = self._keeps_baseline or now.mode is Mode.MOVING_BASE is not options.mode
+        if not keeps_integers(now, options):
+            self._past.forget()
+        return Continuation() if state is None else carry_on(state, now, options, moved=moved, moves=self._moves)
+
+    def overview(self) -> Overview:
+        """Return what is known of the newest epoch beside its solution; made when asked for."""
+        return overview_of(self._state, self._single)
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""
@@ -159,6 +177,7 @@ class Rtk:
             self._klobuchar, self._point = klobuchar, self._point_setup(klobuchar)
         issues, base_single = ephemerides.issues, None
         single = locate(rover.signals, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
+        self._single = single
         if self.options.mode is Mode.SINGLE:
             return from_single(rover, base, single)
         if base is not None and self.options.mode is Mode.MOVING_BASE:
@@ -225,11 +244,12 @@ class Rtk:
             state = self._state = self._begun(rover, single, base_ecef_m)
         shift = base_ecef_m - state.base_ecef_m
         if shift.any():
-            if self.options.mode is not Mode.MOVING_BASE:
+            if self.options.mode is not Mode.MOVING_BASE and not self._keeps_baseline:
                 state.filter.x[:3] -= shift
                 state.informed.x[:3] -= shift
             state.base_ecef_m = base_ecef_m.copy()
             state.base_s = nan
+        self._keeps_baseline = False
         return state
 
     def _begun(self, rover: Epoch, single: Located, base_ecef_m: Vector) -> FilterState:
@@ -246,9 +266,9 @@ class Rtk:
         """Begin the dynamic states anew from the single-point position; the keyed states stay."""
         fixed = self.options.fixed_position_ecef_m if self.options.mode is Mode.FIXED else None
         start = single.position_ecef_m if fixed is None else np.array(fixed)
-        sigmas = _SEED_MOVING if self._moves else _SEED_STANDING
+        sigmas = SEED_MOVING if self._moves else SEED_STANDING
         for one in (state.filter, state.informed):
-            seed(one, start - state.base_ecef_m, sigmas if fixed is None else _SEED_FIXED)
+            seed(one, start - state.base_ecef_m, sigmas if fixed is None else SEED_FIXED)
 
     def _advance(self, state: FilterState, dt: float, single: Located) -> bool:
         """Move the state on by ``dt`` seconds; return whether it is still finite."""
@@ -258,9 +278,9 @@ class Rtk:
             self._seed(state, single)
             moves = False
         walks = walks_of(self._setup, state.baseline_m, self._past.memory)
-        if len(state.informed.keys) and not advance(state.informed, dt, moves, self._motion, state.base_ecef_m, walks, _SEED_MOVING):
+        if len(state.informed.keys) and not advance(state.informed, dt, moves, self._motion, state.base_ecef_m, walks, SEED_MOVING):
             state.informed = new_filter()
-        return advance(state.filter, dt, moves, self._motion, state.base_ecef_m, walks, _SEED_MOVING)
+        return advance(state.filter, dt, moves, self._motion, state.base_ecef_m, walks, SEED_MOVING)
 
     def _astray(self, state: FilterState, single: Located) -> bool:
         if single.status != CONVERGED or self.options.mode is Mode.FIXED:

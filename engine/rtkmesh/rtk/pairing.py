@@ -155,6 +155,23 @@ class Pairing:
         if len(self._bases) > _KEPT_BASES and not self.options.replay:
             del self._bases[0]
 
+    @property
+    def base_arrived_s(self) -> float:
+        """When the newest base epoch arrived (the caller's clock); -inf: none has."""
+        return self._base_arrived_s
+
+    def change_base(self) -> list[Epoch]:
+        """Let another base follow: return the epochs of the old one, oldest first, and forget what was learned of its stream.
+
+        Rover epochs that wait are paired with the new one.
+        """
+        epochs = [base.epoch for base in self._bases]
+        self._bases.clear()
+        self._base_order, self._base_ended, self._orderly = 0, False, 0
+        self._base_arrived_s, self._reorder_wait_s = -inf, _FIRST_REORDER_WAIT_S
+        self._first_rover_s = -inf  # where no base follows nothing is waited for
+        return epochs
+
     def end_base(self) -> None:
         """No further base epoch will come."""
         self._base_ended = True

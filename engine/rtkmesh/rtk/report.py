@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Epoch
-from rtkmesh.models.code_selection import USED
+from rtkmesh.gnss.signals import SYSTEMS
+from rtkmesh.models.code_selection import USED, clocks_by_system
 from rtkmesh.models.single import Located, SingleStatus
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.integrity import Guard
@@ -26,22 +27,26 @@ from rtkmesh.rtk.solution import (
     T_CN0_DBHZ,
     T_CODE_M,
     T_ELEVATION_RAD,
+    T_LOCK_EPOCHS,
     T_LOCK_S,
     T_PHASE_M,
+    T_REJECTS,
     T_SATELLITE,
     T_SIGNAL,
     T_SLIPS,
     T_STATE,
+    T_VARIANCE_CYC2,
     TABLE,
     USED_CODE,
     USED_PHASE,
+    FloatState,
     IntegrityReason,
     Reason,
     SatelliteTable,
     Solution,
     Status,
 )
-from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, DYNAMIC, INTEGER, SLIPS, Filter
+from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, DYNAMIC, FIRST_PAIR_KEY, INTEGER, REJECTS, SLIPS, SLOPE_KEY, ZENITH_KEY, Filter
 from rtkmesh.rtk.update import Layout, Update
 from rtkmesh.rtk.validation import Resolution
 from rtkmesh.rtk.verdict import verdict
@@ -83,6 +88,7 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
         velocity_cov_ecef_m2ps2=single.velocity_cov_m2ps2,
         single_position_ecef_m=single.position_ecef_m,
         receiver_clock_s=single.clock_s,
+        clocks_s=_clocks_s(single),
         satellites_used=int(np.count_nonzero(single.work[:, USED])) if ok else 0,
         satellites_rover=count_runs(rover.satellite),
         satellites_base=0 if base is None else count_runs(base.satellite),
@@ -126,6 +132,7 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
         baseline_cov_ecef_m2=covariance,
         single_position_ecef_m=single.position_ecef_m,
         receiver_clock_s=single.clock_s,
+        clocks_s=_clocks_s(single),
         age_s=around.age_s,
         ratio=numbers[RATIO],
         ratio_threshold=numbers[THRESHOLD],
@@ -145,8 +152,29 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
         integrity=integrity,
         integrity_reason=why,
         satellites=SatelliteTable(solved.satellites),
+        float_state=_float_state(solved, base_ecef_m, around),
         resets=around.resets,
     )
+
+
+def _clocks_s(single: Located) -> Vector:
+    """Return receiver clock minus system time of each system, NaN where none of its satellites was used."""
+    clocks_s = np.full(len(SYSTEMS), nan)
+    if single.status == CONVERGED:
+        clocks_by_system(single.work, single.clocks_m, clocks_s)
+    return clocks_s
+
+
+def _float_state(solved: "Solved", base_ecef_m: Vector, around: Circumstances) -> FloatState:
+    """Return what the filters know beside the integers; the atmosphere of the informed one where there is one."""
+    x = solved.filter.x
+    atmosphere = solved.informed if len(solved.informed.keys) else solved.filter
+    count = int(np.searchsorted(atmosphere.keys, FIRST_PAIR_KEY))
+    delays = dict(zip(atmosphere.keys[:count].tolist(), atmosphere.x[DYNAMIC : DYNAMIC + count].tolist(), strict=True))
+    zenith_m, slope_m = delays.pop(ZENITH_KEY, nan), delays.pop(SLOPE_KEY, nan)
+    moving = (around.sense * x[3:6], x[6:9].copy()) if around.moves else (np.full(3, nan), np.full(3, nan))
+    satellites, ionosphere_m = np.array(list(delays), np.int64), np.array(list(delays.values()), np.float64)
+    return FloatState(base_ecef_m + x[:3], *moving, zenith_m, slope_m, satellites, ionosphere_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,6 +249,7 @@ def describe_pairs(f: Filter, d: Differences, layout: Layout, update: Update, fi
         bits = (USED_CODE if update.code_used[k] else 0) | (USED_PHASE if update.phase_used[k] else 0)
         bits |= HALF_CYCLE if d.half_cycle[k] else 0
         row[T_AMBIGUITY_CYC], row[T_LOCK_S], row[T_SLIPS] = np.nan, np.nan, 0.0
+        row[T_VARIANCE_CYC2], row[T_LOCK_EPOCHS], row[T_REJECTS] = np.nan, 0.0, 0.0
         if place >= 0:
             history = f.history[place]
             if fixed and isfinite(history[INTEGER]):
@@ -230,6 +259,8 @@ def describe_pairs(f: Filter, d: Differences, layout: Layout, update: Update, fi
             if not update.phase_used[k]:
                 bits |= REJECTED
             row[T_AMBIGUITY_CYC], row[T_LOCK_S], row[T_SLIPS] = f.x[DYNAMIC + place], time_s - history[ARC_S], history[SLIPS]
+            row[T_VARIANCE_CYC2] = f.P[DYNAMIC + place, DYNAMIC + place]
+            row[T_LOCK_EPOCHS], row[T_REJECTS] = history[ARC_EPOCHS], history[REJECTS]
         row[T_SATELLITE], row[T_SIGNAL], row[T_STATE] = d.pairs.satellite[k], (d.pairs.key[k] % 262144) // 512, bits
         row[T_AZIMUTH_RAD], row[T_ELEVATION_RAD], row[T_CN0_DBHZ] = d.azimuth_rad[k], d.table[k, ELEVATION_RAD], d.table[k, CN0]
         row[T_CODE_M], row[T_PHASE_M] = update.code_residual_m[k], update.phase_residual_m[k]

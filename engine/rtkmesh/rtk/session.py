@@ -28,6 +28,9 @@ from rtkmesh.gnss.receiver import ReceiverReport
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import Antenna
 from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.rtk.base_change import Candidate, Jump, same_antenna
+from rtkmesh.rtk.comparison import Comparison
+from rtkmesh.rtk.continuation import Continuation
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.rtk.pairing import Pair, Pairing, PairingOptions
@@ -118,6 +121,9 @@ class Session:
     _antennas: dict[Source, Antenna | str] = field(default_factory=dict[Source, Antenna | str])
     _ended_navigation: int = 0
     rover_ended: bool = False
+    _comparison: Comparison | None = None
+    same_antenna: bool = False
+    _jump: Jump | None = None
 
     def __post_init__(self) -> None:
         self.pairing = Pairing(self.options.pairing)
@@ -165,6 +171,8 @@ class Session:
         solution = self.engine.step(
             pair.rover, pair.base, self.table, self.klobuchar, base_position_ecef_m=self._base_position(), glonass_bias=self.glonass_bias
         )
+        if self._comparison is not None:
+            self._compare(self._comparison, pair, solution)
         return replace(solution, waited_s=pair.waited_s) if pair.waited_s != 0.0 else solution
 
     def deadline_s(self) -> float:
@@ -176,8 +184,66 @@ class Session:
         self.options = options or self.options
         self.pairing = Pairing(self.options.pairing)
         self.engine = Rtk(self.options.rtk)
+        self._comparison = self._jump = None
         self._use_antennas()
         self._rover_pending = deque((0, message) for _, message in self._rover_pending)
+
+    def go_on(self, options: SessionOptions) -> Continuation:
+        """Take other options without a fresh filter, where the engine can; else change nothing and say why.
+
+        Waiting epochs stay and wait as the new options say.
+        """
+        now = self.options
+        if (now.rover_antenna, now.base_antenna) != (options.rover_antenna, options.base_antenna):
+            return Continuation("ambiguities stand for the phase centres of other antennas")
+        found = self.engine.go_on(options.rtk)
+        if not found.obstacle:
+            self.options, self.pairing.options = options, options.pairing
+        return found
+
+    def change_base(self, options: SessionOptions, candidate: Candidate | None) -> None:
+        """Go on with another base (None: with none). ``options`` say what is configured of it; the rover's own data stay.
+
+        What that does to the position is in ``take_jump`` after the next solutions.
+        """
+        before = self._base_position()
+        bases = self.pairing.change_base()
+        self.options = options
+        self._forget_base()
+        theirs = [] if candidate is None else [epoch for epoch, _ in candidate.epochs]
+        place = None if candidate is None else candidate.position_ecef_m
+        self.same_antenna = same_antenna(bases, theirs, (before, place))
+        if not self.same_antenna:
+            self._comparison = Comparison(self.engine, bases, before) if bases and candidate is not None else None
+            self.engine = self.engine.with_other_base()
+        if candidate is not None:
+            self._take_over(candidate)
+        self._use_antennas()
+
+    def take_jump(self) -> Jump | None:
+        """Return what the newest epoch says of a change of the base, once; None where there is nothing new to say."""
+        jump, self._jump = self._jump, None
+        return jump
+
+    def _forget_base(self) -> None:
+        self._comparison = self._jump = self.station = self.glonass_bias = self._base_time = None
+        of_base = ReferenceStation | GlonassBias
+        kept = [row for row in self._other_pending if not (row[1] is Source.BASE and isinstance(row[2], of_base))]
+        self._other_pending = deque((None, source, message) for _, source, message in kept)
+        self._said.pop(Source.BASE, None)
+        self._antennas.pop(Source.BASE, None)
+
+    def _take_over(self, candidate: Candidate) -> None:
+        for message in (candidate.station, candidate.bias):
+            if message is not None:
+                self._take(Source.BASE, message)
+        for epoch, now_s in candidate.epochs:
+            self._epoch(Source.BASE, epoch, now_s)
+
+    def _compare(self, comparison: Comparison, pair: Pair, solution: Solution) -> None:
+        self._jump = comparison.jump(pair.rover, solution, self.table, self.klobuchar)
+        if self._jump.decided:
+            self._comparison = None
 
     def _end(self, source: Source) -> None:
         if source is Source.BASE:

@@ -67,8 +67,9 @@ USED_CODE, USED_PHASE, FIXED, SLIPPED, REJECTED, HALF_CYCLE = 1, 2, 4, 8, 16, 32
 # Columns of the packed satellite table.
 (
     T_SATELLITE, T_SIGNAL, T_STATE, T_AZIMUTH_RAD, T_ELEVATION_RAD, T_CN0_DBHZ, T_CODE_M, T_PHASE_M, T_AMBIGUITY_CYC, T_LOCK_S, T_SLIPS,
-) = range(11)  # fmt: skip
-TABLE: Final = 11
+    T_VARIANCE_CYC2, T_LOCK_EPOCHS, T_REJECTS,
+) = range(14)  # fmt: skip
+TABLE: Final = 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,10 +137,43 @@ class SatelliteTable:
         """Slips since the satellite came."""
         return self.packed[:, T_SLIPS].astype(np.int32)
 
+    @property
+    def ambiguity_variance_cyc2(self) -> Vector:
+        """Variances of the float ambiguities."""
+        return self.packed[:, T_VARIANCE_CYC2]
+
+    @property
+    def lock_epochs(self) -> NDArray[np.int32]:
+        """Epochs since the ambiguity began."""
+        return self.packed[:, T_LOCK_EPOCHS].astype(np.int32)
+
+    @property
+    def rejects(self) -> NDArray[np.int32]:
+        """Epochs in a row in which the phase did not fit."""
+        return self.packed[:, T_REJECTS].astype(np.int32)
+
 
 def no_satellites() -> SatelliteTable:
     """Return the empty table."""
     return SatelliteTable(np.zeros((0, TABLE)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloatState:
+    """The filter beside the integers: where the float solution is, and the states that long baselines and GLONASS need. Unknown is NaN.
+
+    Position, velocity and acceleration are ECEF. ``zenith_m`` is the rover's zenith delay against the base's, beyond the model;
+    ``glonass_slope_m`` what a phase is off per frequency channel; ``ionosphere_m`` the delays of ``satellites`` on L1, along the ray, rover
+    against base and beyond the model.
+    """
+
+    position_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
+    velocity_ecef_mps: Vector = field(default_factory=lambda: np.full(3, np.nan))
+    acceleration_ecef_mps2: Vector = field(default_factory=lambda: np.full(3, np.nan))
+    zenith_m: float = float("nan")
+    glonass_slope_m: float = float("nan")
+    satellites: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    ionosphere_m: Vector = field(default_factory=lambda: np.zeros(0))
 
 
 def _nan3() -> Vector:
@@ -156,7 +190,8 @@ class Solution:
 
     ``time`` is the receiver's epoch tag (GPST) that pairs it with others; ``age_s`` is rover minus base epoch;
     ``baseline_ecef_m`` is rover minus base. ``ratio`` is second-best over best squared norm of the integer search (0: none).
-    ``single_position_ecef_m`` is this epoch's single-point position. ``grade`` 0 to 3: how many independent validations a fix passed.
+    ``single_position_ecef_m`` is this epoch's single-point position, ``clocks_s`` (in the order of ``gnss.signals.SYSTEMS``) receiver clock
+    minus each system's time. ``grade`` 0 to 3: how many independent validations a fix passed.
     ``waited_s`` is the time between the rover epoch's arrival and its solving on the deadline clock.
 
     ``fix_probability``: that the integers of a fix are right, as calibrated; 0 without a fix. The protection levels (of a moving base: of
@@ -178,6 +213,7 @@ class Solution:
     baseline_cov_ecef_m2: Matrix = field(default_factory=_nan33)
     single_position_ecef_m: Vector = field(default_factory=_nan3)
     receiver_clock_s: float = float("nan")
+    clocks_s: Vector = field(default_factory=lambda: np.full(7, np.nan))
     age_s: float = float("nan")
     ratio: float = 0.0
     ratio_threshold: float = 0.0
@@ -199,3 +235,4 @@ class Solution:
     integrity: Integrity = Integrity.UNAVAILABLE
     integrity_reason: IntegrityReason = IntegrityReason.NO_SOLUTION
     satellites: SatelliteTable = field(default_factory=no_satellites)
+    float_state: FloatState = field(default_factory=FloatState)

@@ -1,7 +1,7 @@
 """What the filter carries from epoch to epoch: state, covariance, and the history of each keyed state."""
 
-from dataclasses import dataclass, field
-from math import sqrt
+from dataclasses import dataclass, field, replace
+from math import nan, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -34,6 +34,10 @@ AWAY_ROVER: Final = 15
 AWAY_BASE: Final = AWAY_ROVER + STEP
 HISTORY: Final = AWAY_BASE + STEP
 DYNAMIC: Final = 9  # baseline, velocity, acceleration come before the keyed states
+# Sigmas of position (m), velocity (m/s) and acceleration (m/s2) of a new filter: of what moves, stands, and has a known position.
+SEED_MOVING: Final = np.array((30.0, 10.0, 3.0))
+SEED_STANDING: Final = np.array((30.0, 1e-6, 1e-6))
+SEED_FIXED: Final = np.array((1e-4, 1e-6, 1e-6))
 
 
 class Filter(NamedTuple):
@@ -89,6 +93,14 @@ def place_of(keys: Indices, key: int) -> int:
     return low if low < len(keys) and keys[low] == key else -1
 
 
+def of_the_rover(f: Filter, sigma_m: float) -> Filter:
+    """Return a filter that has of this one what does not depend on the base; ``sigma_m`` is added to that of the position."""
+    P = f.P[:DYNAMIC, :DYNAMIC].copy()
+    for i in range(3):
+        P[i, i] += sigma_m**2
+    return Filter(f.x[:DYNAMIC].copy(), P, np.zeros(0, np.int64), np.zeros((0, HISTORY)))
+
+
 @dataclass(slots=True, eq=False)
 class FilterState:
     """What the engine carries of one filter. Mutable. Times in seconds since ``origin``; the model position is the last epoch's."""
@@ -101,6 +113,11 @@ class FilterState:
     rover_model_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
     rover_s: float = float("nan")
     base_s: float = float("nan")
+
+    def for_other_base(self, sigma_m: float) -> "FilterState":
+        """Return a state of its own that keeps what does not depend on the base; ``sigma_m`` is added to that of the position."""
+        rover = of_the_rover(self.filter, sigma_m)
+        return replace(self, filter=rover, informed=of_the_rover(self.filter, sigma_m), base_ecef_m=self.base_ecef_m.copy(), base_s=nan)
 
     @property
     def rover_ecef_m(self) -> Vector:

@@ -81,6 +81,9 @@ SCENARIOS: Final = {
             "base": _BASE_ANTENNA,
         },
     ),
+    "two_bases": Scenario(
+        _SITE, driving, {**_TWO_ANTENNAS, "base": _BASE_ANTENNA, "base2": Antenna((2300.0, -1500.0, 30.0), _BASE, fixed=True)}
+    ),
     "dive": Scenario(
         _SITE,
         driving,

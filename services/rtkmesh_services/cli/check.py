@@ -21,13 +21,15 @@ if TYPE_CHECKING:
 
 
 def check(
-    file: Annotated[Path, Parameter(help="The deployment file (TOML).")],
+    file: Annotated[Path, Parameter(help="The deployment file (TOML), or a .conf file of RTKLIB.")],
     /,
     *,
     data: Annotated[Path | None, Parameter(help="Folder of the recordings: what {data} stands for.")] = None,
     as_json: Json = False,
 ) -> int:
     """Check a deployment file: every fault with its line, the key, the allowed values and the nearest right name.
+
+    Of a .conf file of RTKLIB: every line that RTKLIB would pass over in silence.
 
     Exit codes: 0 right, 2 faults.
     """
@@ -36,11 +38,14 @@ def check(
     errors: list[ConfigError] = []
     deployment: Deployment | None = None
     try:
-        deployment = load_site(file, data).deployment
+        if file.suffix == ".conf":
+            errors, deployment = _conf_errors(file)
+        else:
+            deployment = load_site(file, data).deployment
     except ConfigErrors as error:
         errors = error.errors
     else:
-        errors = url_errors(file, deployment, simulations=True)
+        errors = errors if file.suffix == ".conf" else url_errors(file, deployment, simulations=True)
     if as_json:
         rows = [{"file": error.file, "line": error.line, "message": error.message} for error in errors]
         sys.stdout.write(msgspec.json.encode({"ok": not errors, "errors": rows, "processes": _processes(deployment)}).decode() + "\n")
@@ -51,6 +56,16 @@ def check(
             rows = _processes(deployment)
             sys.stdout.write(f"{file}: right; {len(rows)} processes: {', '.join(row['id'] for row in rows)}\n")
     return EXIT_USAGE if errors else EXIT_OK
+
+
+def _conf_errors(file: Path) -> tuple[list[ConfigError], Deployment]:
+    """Return what is wrong in a .conf file, and the deployment that it gives."""
+    from rtkmesh_services.conf.conf_file import read_conf
+    from rtkmesh_services.conf.importer import import_conf
+
+    imported = import_conf(read_conf(file))
+    errors = [ConfigError(str(file), row.line, row.message) for row in imported.conf.wrong]
+    return errors, imported.deployment
 
 
 def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False) -> list[ConfigError]:
@@ -82,6 +97,10 @@ def url_errors(file: Path, deployment: Deployment, *, simulations: bool = False)
         for key in ("position_ecef_m", "position_llh_deg"):
             if getattr(source, key) is not None:
                 examine(("ingest", id, key), partial(_look_at_position, source.source))
+    for name, preset in deployment.preset.items():
+        for url in preset.sources:
+            examine(("preset", name, "sources"), partial(_look_at_source, url, simulations))
+        examine(("preset", name, "antenna"), partial(_look_at_antenna, preset.antenna, None))
     for id, solver in deployment.solver.items():  # noqa: A001
         antex, before = file.parent / deployment.deployment.config_folder / solver.antex if solver.antex else None, len(errors)
         examine(("solver", id, "antex"), partial(_look_at_antenna, "", antex))
@@ -194,5 +213,6 @@ app = command_page(
     """
     rtkmesh check config/demo.toml
     rtkmesh check robot.toml --json
+    rtkmesh check rtkrcv.conf
     """,
 )

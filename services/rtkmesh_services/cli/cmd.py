@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -9,19 +10,8 @@ from cyclopts import Parameter
 from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, EXIT_USAGE, Connect, Json, Namespace, exit_code, reach
 from rtkmesh_services.cli.page import command_page
-
-# An operation's first bare words, in order: ``load FILE`` is load with file=FILE.
-_POSITIONAL = {
-    "load": ("file",),
-    "log": ("level",),
-    "get": ("key",),
-    "set": ("key", "value"),
-    "option": ("key", "value"),
-    "start": ("id",),
-    "stop": ("id",),
-    "restart": ("id",),
-    "output": ("id", "lines"),
-}
+from rtkmesh_services.runtime.console_words import SCREENS, WordError, arguments
+from rtkmesh_services.runtime.logs import clean
 
 _EXAMPLES = """
 rtkmesh cmd rtk stop
@@ -38,6 +28,7 @@ def cmd(
     /,
     *args: Annotated[str, Parameter(help="Arguments: name=value, or a bare word where one is usual (load FILE).")],
     timeout: Annotated[float, Parameter(help="Seconds until the answer counts as missing.")] = 2.0,
+    expires: Annotated[float, Parameter(help="Not to be done later than in so many seconds; 0: whenever it comes.")] = 0.0,
     as_json: Json = False,
     connect: Connect = DEFAULT_ENDPOINT,
     namespace: Namespace = "",
@@ -51,40 +42,19 @@ def cmd(
     """
     from rtkmesh_services.runtime.calls import call
 
-    values = arguments(op, args)
-    if values is None:
+    try:
+        values = arguments(op, args)
+    except WordError as error:
+        sys.stderr.write(f"rtkmesh cmd: {error}\n")
         return EXIT_USAGE
     with reach(connect, namespace) as bus:
-        replies = call(bus, id, op, values, timeout)
+        replies = call(bus, id, op, values, timeout, expires_s=expires)
     if as_json:
         _print_json(id, replies)
     else:
         for reply in replies:
-            _print(reply)
+            show_reply(reply, sys.stdout.write if reply.ok else sys.stderr.write, as_screen=op in SCREENS)
     return exit_code(replies)
-
-
-def arguments(op: str, words: tuple[str, ...]) -> dict[str, Any] | None:
-    """Return the arguments in the words of a command line; None after having said what is wrong."""
-    values: dict[str, Any] = {}
-    names = iter(_POSITIONAL.get(op, ()))
-    for word in words:
-        name, sign, value = word.partition("=")
-        if not sign or not name.replace("_", "").replace(".", "").isalnum():
-            name, value = next(names, ""), word
-            if not name:
-                sys.stderr.write(f"rtkmesh cmd: {word!r} is no argument of {op}: write name=value\n")
-                return None
-        values[name] = _value(value)
-    return values
-
-
-def _value(text: str) -> Any:
-    """Return numbers, true, false and JSON lists as such, everything else as text."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
 
 
 def _print_json(id: str, replies: list[Reply]) -> None:  # noqa: A002
@@ -93,28 +63,31 @@ def _print_json(id: str, replies: list[Reply]) -> None:  # noqa: A002
     sys.stdout.write(encode_json(replies if id == "*" or len(replies) != 1 else replies[0]).decode() + "\n")
 
 
-def _print(reply: Reply) -> None:
-    out = sys.stdout if reply.ok else sys.stderr
+def show_reply(reply: Reply, write: Callable[[str], Any], *, as_screen: bool = False) -> None:
+    """Write a reply for people: who, the message, the state, and the data below it (``as_screen``: RTKRCV's text if there is one)."""
     head = f"{reply.id}: " if reply.id else ""
     verdict = "" if reply.code is Code.OK else f"{reply.code.value}: "
     state = f" [{reply.state}]" if reply.state else ""
-    out.write(f"{head}{verdict}{reply.message}{state}\n")
-    for name, value in reply.data.items():
-        _print_value(name, value, out, 1)
+    lines = [f"{head}{verdict}{reply.message}{state}"]
+    if as_screen and reply.text:
+        lines += [clean(line) for line in reply.text.removesuffix("\n").split("\n")]
+    else:
+        lines += [line for name, value in reply.data.items() for line in _lines(name, value, 1)]
+    write("".join(f"{line}\n" for line in lines))
 
 
-def _print_value(name: str, value: Any, out: Any, depth: int) -> None:
+def _lines(name: str, value: Any, depth: int) -> Iterator[str]:
     indent = "  " * depth
     if isinstance(value, dict) and value:
-        out.write(f"{indent}{name}:\n")
+        yield f"{indent}{name}:"
         for inner, item in value.items():  # pyright: ignore[reportUnknownVariableType]  any plain data
-            _print_value(str(inner), item, out, depth + 1)  # pyright: ignore[reportUnknownArgumentType]
+            yield from _lines(str(inner), item, depth + 1)  # pyright: ignore[reportUnknownArgumentType]
     elif isinstance(value, list) and any(isinstance(item, (dict, str)) for item in value):  # pyright: ignore[reportUnknownVariableType]
-        out.write(f"{indent}{name}:\n")
+        yield f"{indent}{name}:"
         for item in value:  # pyright: ignore[reportUnknownVariableType]
-            out.write(f"{indent}  {item if isinstance(item, str) else json.dumps(item)}\n")
+            yield f"{indent}  {item if isinstance(item, str) else json.dumps(item)}"
     elif value not in ({}, [], None, ""):
-        out.write(f"{indent}{name}: {value if isinstance(value, (str, int, float)) else json.dumps(value)}\n")
+        yield f"{indent}{name}: {value if isinstance(value, (str, int, float)) else json.dumps(value)}"
 
 
 app = command_page(cmd, _EXAMPLES)

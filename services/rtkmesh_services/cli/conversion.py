@@ -9,8 +9,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rtkmesh.codecs.decimation import Decimator
 from rtkmesh.codecs.messages import Message
+from rtkmesh.gnss.decimation import Decimator
 from rtkmesh.gnss.ephemeris import GlonassEphemeris, KeplerEphemeris
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS

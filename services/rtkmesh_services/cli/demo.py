@@ -25,8 +25,8 @@ from rtkmesh_services.cli.network import Json
 from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.cli.table import Truth, View
 from rtkmesh_services.cli.up import EXIT_FAILED, Foreground, print_json
+from rtkmesh_services.control.endpoints import free_port, is_free
 from rtkmesh_services.control.fleet import LaunchOptions
-from rtkmesh_services.control.keeper import free_port, is_free
 from rtkmesh_services.runtime.configuration import load_site
 from rtkmesh_services.runtime.kernel_cache import use_kernel_cache
 from rtkmesh_services.runtime.process import leave

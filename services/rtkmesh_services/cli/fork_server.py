@@ -86,7 +86,7 @@ def become(argv: list[str], environment: dict[str, str], out: int, err: int) -> 
         os.dup2(descriptor, target)
         os.close(descriptor)
     os.environ.clear()
-    os.environ.update(environment | kernels | {PARENT_VARIABLE: parent})
+    os.environ.update(environment | kernels)
     deadline_s = time.monotonic() + ADOPTION_S
     while os.getppid() != int(parent) and time.monotonic() < deadline_s:
         time.sleep(0.001)  # the middle parent is ending

@@ -27,13 +27,14 @@ def run(
     """
     from rtkmesh_services.runtime.bus import Bus, endpoints_for
     from rtkmesh_services.runtime.configuration import load_site, require_id
+    from rtkmesh_services.runtime.extra_ingest import with_extra_ingest
     from rtkmesh_services.runtime.process import leave, run_service
 
     if role is Role.CONTROL:
         from rtkmesh_services.cli.up import up
 
         up(config, data=data, speed=speed, quiet=True)
-    site = load_site(config, data, speed)
+    site = with_extra_ingest(load_site(config, data, speed), id)
     id = id or {Role.HUB: HUB_ID, Role.CONTROL: Role.CONTROL.value}.get(role, "")  # noqa: A001
     if not id:
         raise ConfigError(str(config), None, f"say which {role.value}: --id ID")

@@ -3,7 +3,7 @@
 import sys
 import tomllib
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees, isfinite, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, cast
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from rtkmesh.rtk.solution import Solution
     from rtkmesh_services.cli.offline import Run
+    from rtkmesh_services.cli.solve_conf import ConfOptions
 
 Position = tuple[float, float, float]
 
@@ -41,6 +42,7 @@ rtkmesh solve --rover rover.rtcm3 --base base.rtcm3 --date 2018-07-14 --json
 rtkmesh solve --mode moving-base --rover front.ubx --base rear.ubx --format enu
 rtkmesh solve --direction combined --rover rover.ubx --base base.ubx --out rover.pos
 rtkmesh solve --mode single --rover rover.ubx.gz
+rtkmesh solve --conf rnx2rtkp.conf --rover rover.obs --base base.obs --nav base.nav
 """
 
 
@@ -55,12 +57,12 @@ class Request:
     ] = ()
     mode: Annotated[ModeName | None, Parameter(help="What moves. Default: kinematic.")] = None
     direction: Annotated[
-        Literal["forward", "backward", "combined"],
+        Literal["forward", "backward", "combined"] | None,
         Parameter(
             help="Which way through the recordings (RTKLIB's pos1-soltype). Combined: forward, then backward, and of each epoch what both "
-            "know of it; a fix that one direction contradicts is not kept unless the evidence is for it."
+            "know of it; a fix that one direction contradicts is not kept unless the evidence is for it. Default: forward."
         ),
-    ] = "forward"
+    ] = None
     causal: Annotated[
         bool,
         Parameter(
@@ -100,11 +102,18 @@ class Request:
     config: Annotated[
         Path | None, Parameter(help=r"TOML file with one solver: \[solver], or a deployment's one \[solver.NAME]; flags overrule it.")
     ] = None
+    conf: Annotated[
+        Path | None,
+        Parameter(help="RTKLIB's .conf file, of either dialect, instead of --config: what rnx2rtkp would do with -k. Flags overrule it."),
+    ] = None
     out: Annotated[Path | None, Parameter(help="The .pos file. Default: standard output.")] = None
     coordinates: Annotated[
-        Literal["llh", "xyz", "enu"], Parameter(name="--format", help="Coordinates: geodetic, ECEF, or the baseline east-north-up.")
-    ] = "llh"
-    time_form: Annotated[Literal["calendar", "tow"], Parameter(help="Date and time of day, or GPS week and seconds of week.")] = "calendar"
+        Literal["llh", "xyz", "enu"] | None,
+        Parameter(name="--format", help="Coordinates: geodetic, ECEF, or the baseline east-north-up. Default: llh."),
+    ] = None
+    time_form: Annotated[
+        Literal["calendar", "tow"] | None, Parameter(help="Date and time of day, or GPS week and seconds of week. Default: calendar.")
+    ] = None
     as_json: Annotated[
         bool,
         Parameter(
@@ -125,7 +134,9 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
 
     Exit codes: 0 solved, 1 not one epoch could be solved, 2 wrong usage or a file that cannot be read.
     """
-    table, folder = _solver_table(request)
+    told = _conf_of(request)
+    request = _completed(request, told)
+    table, folder = _solver_table(request, told)
     if request.base is None and table.mode != "single":
         raise SourceError(f"mode '{table.mode}' needs --base (or say --mode single)")
     if table.mode == "single" and request.direction != "forward":
@@ -133,8 +144,9 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     if table.mode == "single" and request.coordinates == "enu":
         raise SourceError("--format enu is the baseline from the base, and mode 'single' has none")
     if table.mode == "fixed" and table.fixed_position_ecef_m is None:
-        raise SourceError("mode 'fixed' needs the rover's position: fixed_position_ecef_m in the [solver] table of a --config file")
-    position = _base_position(request)
+        where = "fixed_position_ecef_m in the [solver] table of a --config file, or ant1-pos1 of a --conf file"
+        raise SourceError(f"mode 'fixed' needs the rover's position: {where}")
+    position = _base_position(request) or (told.base_ecef_m if told else None)
 
     from rtkmesh_services.cli.offline import Run, SolutionType, open_inputs
     from rtkmesh_services.cli.recordings import day_of
@@ -144,7 +156,7 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     date = day_of(request.date) if request.date else None
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date, request.receiver_options)
     options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
-    run = Run(inputs, options, SolutionType(request.direction), causal=request.causal)
+    run = Run(inputs, options, SolutionType(request.direction or "forward"), causal=request.causal)
     try:
         with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()):
             _write(run, run.solutions(), request, output)
@@ -156,7 +168,27 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     return _SOLVED if run.tally.solved else _UNSOLVED
 
 
-def _solver_table(request: Request) -> tuple[SolverTable, Path]:
+def _conf_of(request: Request) -> "ConfOptions | None":
+    if request.conf is None:
+        return None
+    if request.config is not None:
+        raise SourceError("--config and --conf are both given")
+    from rtkmesh_services.cli.solve_conf import conf_options
+
+    return conf_options(request.conf, quiet=request.quiet)
+
+
+def _completed(request: Request, told: "ConfOptions | None") -> Request:
+    """Return the request with what no flag says: from the .conf file, or the defaults."""
+    return replace(
+        request,
+        direction=request.direction or (told.direction if told else "forward"),
+        coordinates=request.coordinates or (told.coordinates if told else "llh"),
+        time_form=request.time_form or (told.time_form if told else "calendar"),
+    )
+
+
+def _solver_table(request: Request, told: "ConfOptions | None") -> tuple[SolverTable, Path]:
     """Return the solver's table, the configuration file's or the defaults, overruled by the flags; and the folder of its files."""
     flags = {
         "mode": request.mode,
@@ -164,7 +196,8 @@ def _solver_table(request: Request) -> tuple[SolverTable, Path]:
         "frequencies": request.frequencies,
         "elevation_mask_deg": request.elmask,
     }
-    table, folder = _configured(request.config) if request.config else (SolverTable(rover="rover"), Path())
+    table, folder = (told.solver, told.folder) if told else (SolverTable(rover="rover"), Path())
+    table, folder = _configured(request.config) if request.config else (table, folder)
     content = msgspec.to_builtins(table) | {name: value for name, value in flags.items() if value is not None}
     content |= {"rover": "rover", "base": "base", "navigation": [f"nav{k}" for k in range(len(request.nav))]}
     try:
@@ -243,27 +276,29 @@ def _output(request: Request) -> AbstractContextManager[TextIO | None]:
 
 def _write(run: "Run", results: "Iterator[Solution]", request: Request, output: TextIO | None) -> None:
     """Write the header before the first solution, then a line per solution as it comes."""
-    from rtkmesh.codecs.pos import Coordinates, PosFormat, TimeForm, pos_header, pos_line
+    from rtkmesh_services.mapping.solution import solution_message
+    from rtkmesh_services.texts import TextAbout, TextOptions, TextWriter
 
-    form = PosFormat(Coordinates(request.coordinates), TimeForm(request.time_form))
+    time_form = "tow" if request.time_form == "tow" else "hms"
+    writer = TextWriter(TextOptions(format=request.coordinates or "llh", time_form=time_form, line_end="lf"))
     headed = False
     for solution in results:
         if output is None:
             continue
         if not headed:
-            output.write(pos_header(form, f"rtkmesh {__version__}", _notes(run, solution)))
+            output.write(writer.header(TextAbout(f"rtkmesh {__version__}", _notes(run, solution))).decode())
             headed = True
-        output.write(pos_line(solution, form))
+        output.write(writer.text(solution_message(solution, source="", start_id="", sequence=0)))
 
 
 def _notes(run: "Run", first: "Solution") -> list[tuple[str, str]]:
     """Return the notes of the .pos header, in RTKLIB's words."""
-    from rtkmesh.codecs.pos import position_note, time_note
+    from rtkmesh_services.texts.header import position_note, time_note
 
     options = run.options.rtk
     notes = [("inp file", str(recording.path)) for recording in run.inputs.all()]
     notes += [
-        ("obs start", time_note(first.time)),
+        ("obs start", time_note(first.time.week, first.time.tow_s)),
         ("pos mode", options.mode.value),
         ("freqs", str(options.frequencies)),
         *([] if options.mode.value == "single" else [("solution", run.kind.value)]),

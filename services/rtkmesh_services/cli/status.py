@@ -123,7 +123,7 @@ def _table(replies: list[Reply]) -> "Table":
             found.id,
             found.role,
             state,
-            _duration(found.uptime_s),
+            duration(found.uptime_s),
             Text(clean(inputs)),
             latencies,
             Text(clean(found.reason or _solution(found.data))),
@@ -148,7 +148,8 @@ def _input(row: InputStatus) -> str:
     return f"{row.name} {row.state}{age}{lost}"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Return a time in its usual unit."""
     minutes, hours = seconds / 60.0, seconds / 3600.0
     return f"{seconds:.0f}s" if minutes < 2.0 else f"{minutes:.0f}min" if hours < 2.0 else f"{hours:.0f}h"
 

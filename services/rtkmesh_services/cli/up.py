@@ -2,6 +2,7 @@
 
 import json
 import logging
+import signal
 import sys
 import threading
 import time
@@ -15,17 +16,21 @@ from cyclopts import Parameter
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, Role
 from rtkmesh_services.cli.board import Board
 from rtkmesh_services.cli.check import url_errors
+from rtkmesh_services.cli.detach import Announcement, detached
+from rtkmesh_services.cli.holding import Holding, hub_runs, port_holder
 from rtkmesh_services.cli.network import Json
 from rtkmesh_services.cli.page import command_page
 from rtkmesh_services.cli.table import Display, View
+from rtkmesh_services.control.endpoints import is_free
 from rtkmesh_services.control.fleet import LaunchOptions
-from rtkmesh_services.control.keeper import Keeper, is_free
+from rtkmesh_services.control.keeper import Keeper
+from rtkmesh_services.control.memory import Memory
+from rtkmesh_services.control.records import ProcessState
 from rtkmesh_services.control.service import ControlService, keeper_of
-from rtkmesh_services.control.supervisor import ProcessState
 from rtkmesh_services.errors import BusError, UnreachableError
 from rtkmesh_services.runtime.bus import Bus, endpoints_for
 from rtkmesh_services.runtime.configuration import ConfigErrors, Site, load_site
-from rtkmesh_services.runtime.process import leave, run_service
+from rtkmesh_services.runtime.process import EXIT_OK, EXIT_SITE, leave, run_service
 from rtkmesh_services.runtime.service import Context, Service
 
 EXIT_FAILED: Final = 1
@@ -43,19 +48,32 @@ def up(
     as_json: Json = False,
     quiet: Annotated[bool, Parameter(negative="", help="No table, no summary.")] = False,
     exit_at_end: Annotated[bool, Parameter(negative="", help="End when all recordings are played and solved.")] = False,
+    detach: Annotated[bool, Parameter(name=["--detach", "-d"], negative="", help="In the background; return when all run.")] = False,
+    outlive: Annotated[bool, Parameter(negative="", help="In the foreground, but processes outlive it (for systemd).")] = False,
+    fresh: Annotated[bool, Parameter(negative="", help="Forget which processes commands had stopped.")] = False,
+    timeout: Annotated[float, Parameter(help="With --detach: seconds until it returns at the latest.")] = 60.0,
 ) -> None:
     """Run all processes of a deployment: starts them, watches them, replaces what dies or hangs.
 
     Ctrl-C ends them all; none is left, whatever happens to this process. On a terminal it shows a live table.
 
-    Exit codes: 0 ended as asked, 1 a process failed (with --exit-at-end), 2 the file or the site is at fault, such as a busy port.
+    With --detach (or --outlive) they run on when it is killed or crashes. The same command again takes over what runs, starts what
+    is missing, ends what is in the file no more and restarts what has changed; nothing else is touched. `rtkmesh down` ends it all.
+
+    What commands have stopped stays stopped with the next start, unless it is --fresh.
+
+    Exit codes: 0 ended as asked (with --detach: all run), 1 a process failed (with --exit-at-end, --detach) or does not run in time,
+    2 the file or the site is at fault, such as a busy port or a control that is there already.
     """
     site = load_site(file, data, speed)
     if errors := url_errors(file, site.deployment):
         raise ConfigErrors(errors)
+    if detach:
+        leave(detached(site, speed, fresh=fresh, timeout_s=timeout, as_json=as_json))
     options = LaunchOptions(site.file, site.data_folder, speed)
     ends = AtEnd(site) if exit_at_end else never
-    foreground = Foreground(site, options, as_json=as_json, quiet=quiet, ends=ends)
+    holding = Holding(site, outlive=outlive, fresh=fresh)
+    foreground = Foreground(site, options, as_json=as_json, quiet=quiet, ends=ends, holding=holding)
     code = foreground.run()
     foreground.report()
     leave(code)
@@ -75,6 +93,7 @@ class Foreground:
     ends: Ending = field(default=lambda _: None)
     board: Board = field(default_factory=Board)
     view: View | None = None
+    holding: Holding | None = None  # what is kept on disk; None: nothing
     prepare: Callable[[], None] | None = None  # what the view needs and takes time to import
     reason: str = ""
     seconds: float = 0.0
@@ -85,29 +104,35 @@ class Foreground:
     _done: threading.Event = field(default_factory=threading.Event)
 
     def run(self) -> int:
-        """Run until the end; return the exit code. No process is left."""
-        require_free(self.site)
-        started_s = time.monotonic()
-        keeper = self._keeper = keeper_of(self.site.deployment, self.options)
+        """Run until the end; return the exit code. No process is left, but those that outlive a control that was not asked to end."""
+        started_s, code = time.monotonic(), EXIT_FAILED
+        memory = Memory() if self.holding is None else self.holding.take()
+        if not hub_runs(memory, self.site):
+            require_free(self.site)
+        options = self.options if self.holding is None else self.holding.options(self.options)
+        keeper = self._keeper = keeper_of(self.site.deployment, options, memory)
         if self.as_json:
             keeper.on_change(lambda row: print_json({"event": "process", **row}))
         display = self._display(keeper)
         watcher = threading.Thread(target=self._watch, args=(display,), name="view", daemon=True)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # until ``run_service`` watches for it
         try:
             keeper.begin()
             watcher.start()
             control = self.site.deployment.control
             code = run_service(
-                lambda context: self._create(context, keeper),
+                lambda context: self._create(context, keeper, options),
                 role=Role.CONTROL,
                 id=CONTROL_ID,
                 site=self.site,
                 open_bus=lambda: connect(self.site, keeper),
                 end_s=2.0 * control.term_grace_s + _FAREWELL_S,
             )
+        except KeyboardInterrupt:
+            code = EXIT_OK
         finally:
             self.rows = keeper.rows()
-            clean = keeper.end()
+            clean = _finish(keeper, memory, lets_go=options.logs is not None and code not in (EXIT_OK, EXIT_SITE))
             self._done.set()
             watcher.join(1.0)
         self.seconds = time.monotonic() - started_s
@@ -133,10 +158,10 @@ class Foreground:
             solved = [f"{id_}: {row['epochs']} epochs, {row['fix_pct']:.1f} % FIX" for id_, row in solvers.items()]
             sys.stderr.write("; ".join([f"ended after {self.seconds:.1f} s{why}", f"{restarts} restarts", *solved]) + "\n")
 
-    def _create(self, context: Context, keeper: Keeper) -> Service:
-        if self.quiet or sys.stdout.isatty():
+    def _create(self, context: Context, keeper: Keeper, options: LaunchOptions) -> Service:
+        if (self.quiet and options.logs is None) or sys.stdout.isatty():
             logging.getLogger().setLevel(logging.WARNING)  # the table says the rest
-        self._service = ControlService(context, keeper, self.options)
+        self._service = ControlService(context, keeper, options)
         self.board.attach(context.bus)
         return self._service
 
@@ -154,13 +179,14 @@ class Foreground:
         """Take messages, draw, and see whether it is enough (in its own thread: a slow terminal must not hold up control)."""
         if self.prepare is not None:
             self.prepare()
-        next_s = 0.0
+        announcement, next_s = Announcement(), 0.0
         while not self._done.is_set():
             self.board.take(0.1)
             now_s = time.monotonic()
             if now_s >= next_s:
                 next_s = now_s + 0.1
                 self._end_if_enough()
+                announcement.make(self._keeper)
             if display is not None:
                 display.refresh(now_s)
         if display is not None:
@@ -172,6 +198,15 @@ class Foreground:
         self.reason, self._code = end
         self._service.context.stopping.set()
         self._service.context.inbox.wake()
+
+
+def _finish(keeper: Keeper, memory: Memory, *, lets_go: bool) -> bool:
+    """End the fleet, or leave it to the next control; True when that is done."""
+    if lets_go:
+        return keeper.let_go()
+    if clean := keeper.end():
+        memory.end()
+    return clean
 
 
 def never(foreground: Foreground) -> tuple[str, int] | None:
@@ -236,7 +271,8 @@ def require_free(site: Site) -> None:
     """BusError when the hub could not listen: somebody has its port."""
     for endpoint in site.deployment.hub.listen if site.deployment.hub.enabled else ():
         if not is_free(endpoint):
-            raise BusError(f"{endpoint} is taken: does another rtkmesh run here? ([hub] listen names another port)")
+            who = port_holder(endpoint) or "does another rtkmesh run here?"
+            raise BusError(f"{endpoint} is taken: {who} ([hub] listen names another port)")
 
 
 def print_json(value: dict[str, Any]) -> None:
@@ -249,6 +285,7 @@ app = command_page(
     up,
     """
     rtkmesh up config/demo.toml
+    rtkmesh up robot.toml --detach
     rtkmesh up config/replay_ubx.toml --data ../shared/data
     rtkmesh up config/replay_ubx.toml --data ../shared/data --speed max --exit-at-end
     """,

@@ -1,5 +1,6 @@
 """The fleet of a deployment as a table: one row per process, with everything that is needed to start it."""
 
+import hashlib
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -12,25 +13,38 @@ import msgspec
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.keys import HUB_ID, Role
 from rtkmesh_services.runtime.configuration import DATA_VARIABLE
+from rtkmesh_services.runtime.log_files import VARIABLE as LOG_VARIABLE
+from rtkmesh_services.runtime.process import RUNNING_VARIABLE
 
 ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
-# What must not reach our processes: it changes how Python starts, or is the note of a ROS wheel that it has set LD_LIBRARY_PATH.
-_DROPPED_PREFIXES: Final = ("PYTHON", "LD_PRELOAD", "_ROS_WHEEL", "ROS_WHEEL")
+READY_VARIABLE: Final = "RTKMESH_READY"  # the descriptor on which a detached control says that the fleet is as wanted
+# What must not reach our processes: it changes how Python starts, is the note of a ROS wheel that it has set LD_LIBRARY_PATH, or is meant
+# for control alone.
+_DROPPED_PREFIXES: Final = ("PYTHON", "LD_PRELOAD", "_ROS_WHEEL", "ROS_WHEEL", LOG_VARIABLE, RUNNING_VARIABLE, READY_VARIABLE)
 _KEPT: Final = frozenset({"PYTHONUTF8", "PYTHONPYCACHEPREFIX", "PYTHONDONTWRITEBYTECODE", "PYTHONWARNINGS"})
 _TABLES: Final = (Role.INGEST, Role.SOLVER, Role.ATTITUDE, Role.OUTPUT, Role.RECORDER, Role.ROS2, Role.MONITOR)
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessSpec:
-    """One process of the fleet. ``tables`` are the parts of the file that it depends on: a change of them means a restart."""
+    """One process of the fleet. ``tables`` are the parts of the file that it depends on: a change of them means a restart.
+
+    With ``log_file`` it writes there and outlives control; without, control reads its output and it dies with control.
+    """
 
     id: str
     role: Role
     argv: tuple[str, ...]
     environment: Mapping[str, str] = field(default_factory=dict[str, str])
     tables: bytes = b""
+    log_file: Path | None = None
+
+    @property
+    def definition(self) -> str:
+        """A hash of what makes it the process that is wanted. The environment is not in it: control's own changes with every start."""
+        return hashlib.sha256(b"\0".join([self.role.encode(), *map(os.fsencode, self.argv), self.tables])).hexdigest()[:16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +55,7 @@ class LaunchOptions:
     data_folder: Path | None = None
     speed: str = ""
     python: str = sys.executable
+    logs: Path | None = None  # where processes that outlive control write
 
 
 def specs_of(deployment: Deployment, options: LaunchOptions) -> list[ProcessSpec]:
@@ -81,15 +96,24 @@ def clean_environment(inherited: Mapping[str, str], role: Role) -> dict[str, str
 
 def _spec(id_: str, role: Role, deployment: Deployment, options: LaunchOptions) -> ProcessSpec:
     table = None if role is Role.HUB else getattr(deployment, role)[id_]
-    python = getattr(table, "python", "") or options.python
-    argv = [python, "-m", "rtkmesh_services.cli.main", "run", str(role), "--id", id_, "--config", str(options.file)]
-    environment = clean_environment(os.environ, role)
+    tables = msgspec.json.encode([deployment.deployment, deployment.hub, table, _referenced(table, deployment)])
+    return spec_for(id_, role, options, tables, python=getattr(table, "python", ""))
+
+
+def spec_for(
+    id_: str, role: Role, options: LaunchOptions, tables: bytes, told: Mapping[str, str] | None = None, python: str = ""
+) -> ProcessSpec:
+    """Return how a process is started; ``told`` is added to its environment, ``python`` runs it instead of ours."""
+    argv = [python or options.python, "-m", "rtkmesh_services.cli.main", "run", str(role), "--id", id_, "--config", str(options.file)]
+    environment = clean_environment(os.environ, role) | dict(told or {})
     if options.data_folder is not None:
         environment[DATA_VARIABLE] = str(options.data_folder)
     if options.speed and role is not Role.HUB:
         argv += ["--speed", options.speed]
-    tables = msgspec.json.encode([deployment.deployment, deployment.hub, table, _referenced(table, deployment)])
-    return ProcessSpec(id_, role, tuple(argv), environment, tables)
+    log_file = None if options.logs is None else options.logs / f"{id_}.log"
+    if log_file is not None:
+        environment[LOG_VARIABLE] = str(log_file)
+    return ProcessSpec(id_, role, tuple(argv), environment, tables, log_file)
 
 
 def _referenced(table: Any, deployment: Deployment) -> list[Any]:

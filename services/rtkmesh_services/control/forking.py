@@ -20,7 +20,8 @@ from typing import IO, Any, Final
 
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.control.fleet import ProcessSpec
-from rtkmesh_services.control.process import PARENT_VARIABLE
+from rtkmesh_services.control.process import PARENT_VARIABLE, environment_of
+from rtkmesh_services.runtime.log_files import open_log
 
 PATIENCE_S: Final = 10.0  # how long processes are held for it; a first start that compiles takes longer
 RETRY_S: Final = 10.0
@@ -38,8 +39,8 @@ class Forked:
     """A process that the server forked and that has become our child."""
 
     pid: int
-    stdout: IO[bytes]
-    stderr: IO[bytes]
+    stdout: IO[bytes] | None = None
+    stderr: IO[bytes] | None = None
 
     def wait(self) -> int:
         """Wait for its end; return its exit code, negative for a signal."""
@@ -91,22 +92,21 @@ class ForkServer:
         self.read()
         if self._socket is None or spec.role not in self.ready or spec.argv[0] != sys.executable:
             return None
-        pipes = os.pipe2(os.O_CLOEXEC), os.pipe2(os.O_CLOEXEC)
+        reads, writes = _outputs(spec)
         try:
-            request = json.dumps({"argv": spec.argv[3:], "environment": dict(spec.environment)}).encode()
-            socket.send_fds(self._socket, [request], [write for _, write in pipes])
+            request = json.dumps({"argv": spec.argv[3:], "environment": environment_of(spec)}).encode()
+            socket.send_fds(self._socket, [request], writes)
             pid = self._answer()
         except OSError as error:
             _log.warning("the fork server does not answer: %s", error)
             self._lose()
             pid = 0
-        for _, write in pipes:
+        for write in writes:
             os.close(write)
-        out, err = (os.fdopen(read, "rb", buffering=0) for read, _ in pipes)
         if pid:
-            return Forked(pid, out, err)
-        out.close()
-        err.close()
+            return Forked(pid, *(os.fdopen(read, "rb", buffering=0) for read in reads))
+        for read in reads:
+            os.close(read)
         return None
 
     def close(self) -> None:
@@ -171,6 +171,15 @@ class ForkServer:
                 self._process.kill()
             self._process.wait()
             self._process = None
+
+
+def _outputs(spec: ProcessSpec) -> tuple[list[int], list[int]]:
+    """Return (our ends, its ends) of a process's output and error output: pipes, or a log file that nobody has to read."""
+    if spec.log_file is not None:
+        log = open_log(spec.log_file)
+        return [], [log, os.dup(log)]
+    pipes = [os.pipe2(os.O_CLOEXEC) for _ in range(2)]
+    return [read for read, _ in pipes], [write for _, write in pipes]
 
 
 def adopt_orphans() -> None:

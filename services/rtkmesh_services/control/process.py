@@ -1,32 +1,20 @@
 """One child process on Linux: its own session, no orphan, output read line by line without ever blocking."""
 
 import contextlib
-import json
 import os
 import signal
 import subprocess
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import IO, Any, Final, Protocol
+from collections.abc import Callable, Sequence
+from typing import IO, Final, Protocol
 
 from rtkmesh_services.control.fleet import ProcessSpec
+from rtkmesh_services.control.output import OutputLine, ProcessLog, parse_line
+from rtkmesh_services.runtime.host_processes import identity_of
+from rtkmesh_services.runtime.log_files import open_log
 
 PARENT_VARIABLE: Final = "RTKMESH_PARENT"  # the child asks the kernel to kill it when this process is gone
 _LINE_BYTES: Final = 4096
 _READ_BYTES: Final = 65536
-_KEPT_LINES: Final = 200
-
-
-@dataclass(frozen=True, slots=True)
-class OutputLine:
-    """One line that a child wrote. ``level`` and ``text`` are the record's if it was one of our JSON log lines."""
-
-    id: str
-    text: str
-    level: str
-    error_stream: bool
-    structured: bool
 
 
 class Started(Protocol):
@@ -55,17 +43,28 @@ class Started(Protocol):
 Start = Callable[[ProcessSpec], Started]
 
 
-def start_program(spec: ProcessSpec) -> Started:
-    """Start a process as a program; OSError if that fails."""
-    return subprocess.Popen(
-        spec.argv,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env=dict(spec.environment) | {PARENT_VARIABLE: str(os.getpid())},
-        start_new_session=True,
-        bufsize=0,
-    )
+def start_program(spec: ProcessSpec, inherited: Sequence[int] = ()) -> Started:
+    """Start a process as a program that also gets some of our descriptors; OSError if that fails."""
+    log = None if spec.log_file is None else open_log(spec.log_file)
+    try:
+        return subprocess.Popen(
+            spec.argv,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE if log is None else log,
+            stderr=subprocess.PIPE if log is None else log,
+            env=environment_of(spec),
+            pass_fds=inherited,
+            start_new_session=True,
+            bufsize=0,
+        )
+    finally:
+        if log is not None:
+            os.close(log)
+
+
+def environment_of(spec: ProcessSpec) -> dict[str, str]:
+    """Return the environment of a process: one that does not outlive control is told whose death is its own."""
+    return dict(spec.environment) | ({PARENT_VARIABLE: str(os.getpid())} if spec.log_file is None else {})
 
 
 class Child:
@@ -73,10 +72,13 @@ class Child:
 
     def __init__(self, spec: ProcessSpec, on_line: Callable[[OutputLine], None], start: Start = start_program) -> None:
         """Start the process; OSError if that fails."""
-        self.spec = spec
+        self.spec, self.definition = spec, spec.definition
         self._on_line = on_line
+        self._log = ProcessLog(spec)
+        self._log.begins()
         self._process = start(spec)
         self.pid = self._process.pid
+        self.identity = identity_of(self.pid)
         self.exit_descriptor = _pidfd(self.pid)
         self._last_error = ""
         self._streams = {pipe.fileno(): _Lines(pipe, error_stream=pipe is self._process.stderr) for pipe in self._pipes()}
@@ -118,7 +120,7 @@ class Child:
     @property
     def last_error(self) -> str:
         """The newest line that says what went wrong."""
-        return self._last_error
+        return self._last_error or self._log.last_error()
 
     def _line(self, raw: bytes, error_stream: bool) -> None:
         line = parse_line(self.spec.id, raw, error_stream=error_stream)
@@ -165,39 +167,6 @@ class _Lines:
 
     def close(self) -> None:
         self._pipe.close()
-
-
-class OutputLog:
-    """The newest lines of every process, for ``rtk/control/cmd`` ``log``."""
-
-    def __init__(self) -> None:
-        self._lines: dict[str, deque[str]] = {}
-
-    def add(self, line: OutputLine) -> None:
-        """Keep a line."""
-        self._lines.setdefault(line.id, deque(maxlen=_KEPT_LINES)).append(f"{line.level}: {line.text}" if line.level else line.text)
-
-    def last(self, id: str, count: int) -> list[str]:  # noqa: A002  the word of the design
-        """Return the newest lines of a process, oldest first."""
-        lines = list(self._lines.get(id, ()))
-        return lines[-count:] if count > 0 else []
-
-
-def parse_line(id: str, raw: bytes, *, error_stream: bool) -> OutputLine:  # noqa: A002
-    """Return a line without control characters; our own JSON log lines give their level and text."""
-    text = raw.decode("utf-8", "replace").strip()
-    if text.startswith("{"):
-        with contextlib.suppress(ValueError, TypeError, AttributeError):
-            record: dict[str, Any] = json.loads(text)
-            message = record.get("text", record.get("message"))
-            if message is not None:
-                return OutputLine(id, printable(str(message)), str(record.get("level", "")).lower(), error_stream, structured=True)
-    return OutputLine(id, printable(text), "", error_stream, structured=False)
-
-
-def printable(text: str) -> str:
-    """Return text without control characters: a terminal must not obey what a receiver or caster sent."""
-    return "".join(c if c.isprintable() or c == "\t" else "?" for c in text)
 
 
 def reap_group(pid: int) -> None:

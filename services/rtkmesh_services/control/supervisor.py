@@ -3,73 +3,17 @@
 Pure: no clock, no process, no thread. All transitions of a process's state live here; ``keeper`` carries the actions out.
 """
 
-import math
-from collections import deque
-from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any, Final
 
 from rtkmesh_schemas.config import ControlTable
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.control.fleet import ProcessSpec
+from rtkmesh_services.control.records import NEVER, Action, ProcessRecord, ProcessState, Verb, row_of
 
+EXIT_UNKNOWN: Final = 256  # above all exit codes: of a process that was no child of ours
 EXIT_CONFIG: Final = 2  # a process that cannot use its configuration: starting it again changes nothing
 FIRST_HEARTBEAT_S: Final = 30.0  # imports on a loaded small computer, before the first status
 LINK_GAP_S: Final = 2.5  # the bus is trusted while its reference beats at least this often (nominal: 1 s)
-NEVER: Final = -math.inf
-
-
-class ProcessState(StrEnum):
-    """States of a supervised process."""
-
-    STOPPED = "STOPPED"
-    STARTING = "STARTING"  # spawned, no heartbeat yet
-    RUNNING = "RUNNING"
-    STOPPING = "STOPPING"
-    WAITING = "WAITING"  # until its next start: back-off, or for the hub
-    FAILED = "FAILED"
-
-
-class Verb(StrEnum):
-    """What the supervisor asks of the operating system."""
-
-    SPAWN = "spawn"
-    TERMINATE = "terminate"
-    KILL = "kill"
-
-
-@dataclass(frozen=True, slots=True)
-class Action:
-    """One thing to do now."""
-
-    verb: Verb
-    id: str
-
-
-@dataclass(slots=True)
-class ProcessRecord:
-    """Desired and actual state of one process. Times are monotonic seconds."""
-
-    spec: ProcessSpec
-    wanted: bool = True
-    state: ProcessState = ProcessState.STOPPED
-    reason: str = ""
-    pid: int = 0
-    restarts: int = 0
-    started_s: float = NEVER
-    start_at_s: float = NEVER
-    stop_asked_s: float = NEVER
-    killed: bool = False
-    hung: bool = False
-    terminated: bool = False
-    removed: bool = False
-    heartbeat_s: float = NEVER
-    deaths_s: deque[float] = field(default_factory=deque[float])
-
-    @property
-    def alive(self) -> bool:
-        """Whether the operating system has a process for this record."""
-        return self.pid != 0
 
 
 class Supervisor:
@@ -86,15 +30,37 @@ class Supervisor:
 
     # -- desired state
 
-    def add(self, spec: ProcessSpec) -> None:
-        """Take a process into the fleet; it is started by the next actions."""
-        self._records[spec.id] = ProcessRecord(spec, state=ProcessState.WAITING)
+    def add(self, spec: ProcessSpec, *, wanted: bool = True, restarts: int = 0, reason: str = "") -> None:
+        """Take a process into the fleet; it is started by the next actions, if it is wanted."""
+        state = ProcessState.WAITING if wanted else ProcessState.STOPPED
+        self._records[spec.id] = ProcessRecord(spec, wanted=wanted, state=state, restarts=restarts, reason=reason)
+
+    def adopt(self, id: str, pid: int, start_id: str, started_s: float, now_s: float) -> None:  # noqa: A002  the word of the design
+        """Note that a process of the fleet runs already, started at ``started_s``: its next heartbeat makes it RUNNING."""
+        record = self._records[id]
+        heard_s = now_s if start_id else NEVER  # one that was never heard may still be starting
+        record.start_id, record.pid = start_id, pid
+        record.started_s, record.watched_s, record.heartbeat_s = started_s, now_s, heard_s
+        record.state, record.reason = ProcessState.STARTING, "taken over, not heard yet"
 
     def replace(self, spec: ProcessSpec, now_s: float) -> None:
         """Give a process a new definition and restart it if it is wanted."""
         record = self._records[spec.id]
         record.spec = spec
         if record.wanted:
+            self.restart(spec.id, now_s)
+
+    def recognise(self, spec: ProcessSpec) -> None:
+        """Know the definition of a process that runs as it says."""
+        self._records[spec.id].spec = spec
+
+    def include(self, spec: ProcessSpec, now_s: float) -> None:
+        """Take a process into the fleet, also one that is about to be forgotten; another definition restarts it."""
+        record = self._records.get(spec.id)
+        if record is None:
+            self.add(spec)
+        elif record.removed or record.spec != spec:
+            record.removed, record.spec = False, spec
             self.restart(spec.id, now_s)
 
     def remove(self, id: str, now_s: float) -> None:  # noqa: A002  the word of the design
@@ -123,12 +89,12 @@ class Supervisor:
         else:
             record.state, record.reason = ProcessState.STOPPED, reason
 
-    def restart(self, id: str, now_s: float) -> None:  # noqa: A002
+    def restart(self, id: str, now_s: float, reason: str = "restart by command") -> None:  # noqa: A002
         """Stop a process if it runs, then start it."""
         record = self._records[id]
         record.wanted = True
         if record.alive:
-            _ask_to_stop(record, now_s, "restart by command")
+            _ask_to_stop(record, now_s, reason)
         else:
             self.start(id, now_s)
 
@@ -160,8 +126,8 @@ class Supervisor:
     def spawned(self, id: str, pid: int, now_s: float) -> None:  # noqa: A002
         """Note the start of a process. One that is not wanted any more by now is stopped at once."""
         record = self._records[id]
-        record.pid, record.started_s, record.heartbeat_s = pid, now_s, NEVER
-        record.state, record.reason = ProcessState.STARTING, ""
+        record.pid, record.started_s, record.watched_s, record.heartbeat_s = pid, now_s, now_s, NEVER
+        record.state, record.reason, record.start_id = ProcessState.STARTING, "", ""
         record.killed = record.hung = record.terminated = False
         if not record.wanted:
             _ask_to_stop(record, now_s, "stopped while it was started")
@@ -171,7 +137,7 @@ class Supervisor:
         self._died(self._records[id], f"cannot be started: {why}", now_s)
 
     def exited(self, id: str, code: int, last_line: str, now_s: float) -> None:  # noqa: A002
-        """Note the end of a process. ``code`` as of subprocess: negative is a signal."""
+        """Note the end of a process. ``code`` as of subprocess: negative is a signal; or EXIT_UNKNOWN."""
         record = self._records.get(id)
         if record is None:
             return
@@ -185,14 +151,14 @@ class Supervisor:
         else:
             self._died(record, _cause(code, last_line), now_s, permanent=code == EXIT_CONFIG)
 
-    def heartbeat(self, id: str, pid: int, now_s: float) -> None:  # noqa: A002
-        """Note a status from a work loop. Those of earlier processes (another pid) do not count."""
+    def heartbeat(self, id: str, pid: int, now_s: float, start_id: str = "") -> None:  # noqa: A002
+        """Note a status from a work loop. Those of earlier processes (another pid or start) do not count."""
         record = self._records.get(id)
-        ours = record is not None and record.pid == pid
+        ours = record is not None and record.pid == pid and start_id in (record.start_id or start_id, "")
         if record is not None and ours:
-            record.heartbeat_s = now_s
+            record.heartbeat_s, record.start_id = now_s, start_id or record.start_id
             if record.state is ProcessState.STARTING:
-                record.state = ProcessState.RUNNING
+                record.state, record.reason = ProcessState.RUNNING, ""
         if self._is_reference(record, ours=ours):
             if now_s - self._reference_s > LINK_GAP_S:
                 self._linked_since_s = now_s
@@ -223,7 +189,7 @@ class Supervisor:
 
     def rows(self, now_s: float) -> list[dict[str, Any]]:
         """Return the table of the fleet as plain values."""
-        return [_row(record, now_s) for record in self._records.values()]
+        return [row_of(record, now_s) for record in self._records.values()]
 
     def record(self, id: str) -> ProcessRecord | None:  # noqa: A002
         """Return the record of a process, or None."""
@@ -268,7 +234,7 @@ class Supervisor:
         Without a bus nobody is heard, so silence counts only while the reference (our hub, else anybody) is heard.
         """
         timeout_s = max(self._limits.heartbeat_timeout_s, LINK_GAP_S)
-        silent_s = now_s - max(record.heartbeat_s, record.started_s)
+        silent_s = now_s - max(record.heartbeat_s, record.watched_s)
         if silent_s <= (timeout_s if record.heartbeat_s > NEVER else max(timeout_s, FIRST_HEARTBEAT_S)):
             return None
         if record.spec.role is Role.HUB:
@@ -326,21 +292,9 @@ def _ask_to_stop(record: ProcessRecord, now_s: float, reason: str) -> None:
 
 
 def _cause(code: int, last_line: str) -> str:
+    if code == EXIT_UNKNOWN:
+        return f"it ended: {last_line}" if last_line else "it ended"
     if code == 0:
         return "it ended by itself (exit code 0)"
     how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
     return f"{how}: {last_line}" if last_line else how
-
-
-def _row(record: ProcessRecord, now_s: float) -> dict[str, Any]:
-    return {
-        "id": record.spec.id,
-        "role": str(record.spec.role),
-        "state": str(record.state),
-        "wanted": record.wanted,
-        "pid": record.pid,
-        "restarts": record.restarts,
-        "uptime_s": round(now_s - record.started_s, 3) if record.alive else 0.0,
-        "heartbeat_age_s": round(now_s - record.heartbeat_s, 3) if record.alive and record.heartbeat_s > NEVER else None,
-        "reason": record.reason,
-    }

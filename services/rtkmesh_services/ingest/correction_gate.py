@@ -9,9 +9,8 @@ from typing import Final
 
 from rtkmesh.codecs.rtcm3_encode import frame as framed
 from rtkmesh_schemas.config import CorrectionsTable
-from rtkmesh_services.ntrip.frames import message_number
+from rtkmesh_services.ntrip.frames import BASIC, message_number
 
-BASIC: Final = frozenset({*range(1001, 1007), *range(1009, 1013), *range(1071, 1140), 1230})  # what Skybrush calls so
 HOLD_S: Final = 0.3  # so long a message waits for the next one of its epoch where the last one may be left out
 _GLONASS_LEGACY: Final = range(1009, 1013)
 _MORE_AT: Final = 9  # byte of a frame with the multiple-message bit

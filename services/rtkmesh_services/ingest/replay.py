@@ -104,8 +104,9 @@ class Replay:
 def stream_options(url: SourceUrl, table: IngestTable, near: GpsTime | None) -> StreamOptions:
     """Return what a source and its table say of decoding."""
     return StreamOptions(
-        approximate_time=near, observations=table.observations, receiver=parse_receiver_options(table.options), antenna=url.antenna
-    )
+        approximate_time=near, observations=table.observations, receiver=parse_receiver_options(table.options), antenna=url.antenna,
+        accept=frozenset(table.filter.accept), reject=frozenset(table.filter.reject),
+    )  # fmt: skip
 
 
 def recording_of(url: SourceUrl, table: IngestTable) -> Recording:

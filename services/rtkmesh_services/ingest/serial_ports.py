@@ -1,35 +1,26 @@
-"""Serial ports: by path, by-id name or USB ids, locked for us alone, found again after unplugging, their baud rate found if asked.
+"""Receivers on serial ports: found again after unplugging, their baud rate found if asked."""
 
-The name of a port is looked up anew at every opening: ``/dev/ttyACM0`` (also with ``*``), ``by-id/usb-u-blox...`` (a beginning is
-enough), ``1546:01a9`` or ``1546:01a9:SERIAL``.
-"""
-
-import errno
 import os
 import termios
 import threading
 import time
-from collections.abc import Callable, Iterable
-from glob import glob
-from pathlib import Path
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Final
 
 import serial
-from serial.tools.list_ports import comports
 
 from rtkmesh.codecs.framing import Framer
 from rtkmesh_services.errors import SourceError
-from rtkmesh_services.ingest.urls import USB_NAME, SourceUrl
-from rtkmesh_services.ingest.wires import POLL_S, READ_BYTES, Wire
+from rtkmesh_services.ingest.urls import SourceUrl
+from rtkmesh_services.ingest.wires import Wire
 from rtkmesh_services.runtime.backoff import LOCAL, Backoff
+from rtkmesh_services.runtime.port_names import DEFAULT_BAUD
+from rtkmesh_services.runtime.serial_device import find_port, open_port, read_port
 
-BY_ID: Final = Path("/dev/serial/by-id")
-DEFAULT_BAUD: Final = 115200
 BAUDS: Final = (115200, 460800, 38400, 9600, 921600, 230400, 57600, 19200, 4800)  # in the order of what receivers are set to
 LISTEN_S: Final = 2.2  # a receiver speaks at least once a second
 GARBAGE_BYTES: Final = 1500  # so much without a whole frame is the wrong rate
 SURE_FRAMES: Final = 2
-WRITE_S: Final = 2.0
 
 Say = Callable[[str], None]
 
@@ -115,22 +106,6 @@ class SerialPort:
         raise SourceError(f"{path}: {said} at any baud rate from {min(BAUDS)} to {max(BAUDS)}")
 
 
-def open_port(path: str, baud: int) -> "serial.Serial":
-    """Return an open port; SourceError says why it cannot be opened."""
-    try:
-        return serial.Serial(path, baud, timeout=POLL_S, write_timeout=WRITE_S, exclusive=True)
-    except (serial.SerialException, ValueError, OSError) as error:
-        raise SourceError(f"{path}: {_reason(error)}") from error
-
-
-def read_port(port: "serial.Serial", path: str) -> bytes | None:
-    """Return what is there, waiting for the first byte; SourceError when the device has gone."""
-    try:
-        return bytes(port.read(max(1, min(port.in_waiting, READ_BYTES)))) or None
-    except (serial.SerialException, OSError) as error:
-        raise SourceError(f"{path}: the device has gone (unplugged?)") from error
-
-
 def listen(port: "serial.Serial", path: str, stopping: threading.Event) -> tuple[bytes, int]:
     """Return what comes within the time of two epochs, and how many whole frames are in it; ends early when that is clear."""
     framer, data, frames = Framer(), b"", 0
@@ -144,37 +119,3 @@ def listen(port: "serial.Serial", path: str, stopping: threading.Event) -> tuple
         if frames >= SURE_FRAMES or (not frames and framer.counters.bytes_skipped > GARBAGE_BYTES):
             break
     return data, frames
-
-
-def find_port(name: str, ports: Iterable[Any] | None = None) -> str:
-    """Return the path of the one port that a name means; SourceError when there is none or more than one."""
-    if name.startswith("/"):
-        return _only(name, sorted(glob(name))) if any(sign in name for sign in "*?[") else name  # noqa: PTH207  a full pattern
-    if name.startswith("by-id/"):
-        found = sorted(map(str, BY_ID.glob(f"{name.removeprefix('by-id/')}*")))
-        return _only(name, found)
-    match = USB_NAME.fullmatch(name)
-    if match is None:
-        raise SourceError(f"{name!r} is no port: a path, by-id/NAME, VID:PID or VID:PID:SERIAL")
-    wanted = int(match["vid"], 16), int(match["pid"], 16)
-    fit = [port for port in (comports() if ports is None else ports) if (port.vid, port.pid) == wanted]
-    return _only(name, sorted(port.device for port in fit if match["serial"] in (None, port.serial_number)))
-
-
-def _only(name: str, found: list[str]) -> str:
-    if not found:
-        raise SourceError(f"{name}: no such device is plugged in")
-    if len(found) > 1:
-        raise SourceError(f"{name}: there are {len(found)} of them: {', '.join(found)}; say which")
-    return found[0]
-
-
-def _reason(error: Exception) -> str:
-    text, number = str(error), getattr(error, "errno", None)
-    if "lock" in text or number == errno.EBUSY:
-        return "in use by another program"
-    hints = {
-        errno.ENOENT: "no such device is plugged in",
-        errno.EACCES: "permission denied: the user must be in the device's group (dialout)",
-    }
-    return hints.get(number or 0) or (os.strerror(number) if number else text)

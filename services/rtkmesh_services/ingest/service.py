@@ -229,7 +229,8 @@ class IngestService(Service):
             self._heard_ns = chunk.mono_ns
             self._dialogue.heard(chunk.data, (frame for frame, _ in frames), self._now_s())
         for frame, messages in frames:
-            self._publisher.frame(frame, chunk.mono_ns)
+            if self._live.decoder.options.wants(frame):
+                self._publisher.frame(frame, chunk.mono_ns)
             for message in messages:
                 self._publish(message, chunk.mono_ns)
         now = self.context.clock.mono_ns()

@@ -1,6 +1,5 @@
 """Source URLs: ``scheme://where?option=value``, checked against the options that each scheme knows."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -12,6 +11,7 @@ from rtkmesh_schemas.keys import ID, RESERVED_IDS
 from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ntrip.address import NTRIP_SCHEMES, CasterAddress, parse_caster, shown_url
 from rtkmesh_services.ntrip.place import Place
+from rtkmesh_services.runtime.port_names import is_port_name
 
 _NTRIP: Final = {
     "version": "auto (2, and 1 where that fails), 1 or 2",
@@ -45,7 +45,6 @@ SCHEMES: Final[dict[str, dict[str, str]]] = {
     "stdin": _ANTENNA,
     "sim": {"rate": "epochs per second, default 5", "seed": "default 1"},
 }
-USB_NAME: Final = re.compile(r"(?P<vid>[0-9A-Fa-f]{4}):(?P<pid>[0-9A-Fa-f]{4})(?::(?P<serial>.+))?")
 _PATHS: Final = ("file", "serial", "sim", "ingest")
 _NUMBERS: Final = ("baud", "timeout", "rate", "seed", "gga_period", "max_distance", "start")
 _WORDS: Final[dict[str, tuple[str, ...]]] = {
@@ -159,7 +158,7 @@ def _located(text: str, scheme: str, rest: str) -> tuple[dict[str, Any], str]:
             path, query = _rtklib_form(path, query)
         if not path:
             raise SourceError(f"{text!r}: needs a path")
-        if scheme == "serial" and not (path.startswith(("/", "by-id/")) or USB_NAME.fullmatch(path)):
+        if scheme == "serial" and not is_port_name(path):
             raise SourceError(f"{text!r}: names no port: /dev/NAME, by-id/NAME, VID:PID or VID:PID:SERIAL")
         if scheme == "ingest" and (not ID.fullmatch(path) or path in RESERVED_IDS):
             raise SourceError(f"{text!r}: {path!r} is no id of an ingest")

@@ -1,6 +1,6 @@
 """Engine solutions to the wire, and back for formats that need the engine's form."""
 
-from math import degrees, nan
+from math import degrees, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rtkmesh.gnss.frames import geodetic_from_ecef
 from rtkmesh.gnss.signals import satellite_id, signal_code
+from rtkmesh.models.atmosphere import zenith_hydrostatic_m, zenith_wet_m
 from rtkmesh.rtk.local import in_enu
 from rtkmesh.rtk.solution import Solution
 from rtkmesh_schemas.solution import Matrix, SatellitesMessage, SolutionMessage, Vector
@@ -40,6 +41,7 @@ def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
         baseline_ecef_m=_vector(solution.baseline_ecef_m),
         baseline_enu_m=_vector(local.baseline_m),
         baseline_cov_enu_m2=_matrix(local.baseline_cov_m2),
+        baseline_cov_ecef_m2=_matrix(solution.baseline_cov_ecef_m2),
         acceleration_ecef_mps2=_vector(solution.acceleration_ecef_mps2),
         acceleration_cov_ecef_m2ps4=_matrix(solution.acceleration_cov_ecef_m2ps4),
         acceleration_enu_mps2=_vector(local.acceleration_mps2),
@@ -58,6 +60,12 @@ def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
         phase_rms_m=float(solution.phase_rms_m),
         nis_per_observation=float(solution.nis_per_observation),
         receiver_clock_s=float(solution.receiver_clock_s),
+        clocks_s=tuple(solution.clocks_s.tolist()),
+        float_position_ecef_m=_vector(solution.float_state.position_ecef_m),
+        float_velocity_ecef_mps=_vector(solution.float_state.velocity_ecef_mps),
+        float_acceleration_ecef_mps2=_vector(solution.float_state.acceleration_ecef_mps2),
+        zenith_delays_m=_zenith_delays_m(solution),
+        glonass_slope_m=float(solution.float_state.glonass_slope_m),
         resets=int(solution.resets),
         waited_s=float(solution.waited_s),
         fix_probability=float(solution.fix_probability),
@@ -87,7 +95,32 @@ def satellites_message(solution: Solution, source: str) -> SatellitesMessage:
         ambiguity_cyc=table.ambiguity_cyc.tolist(),
         lock_s=table.lock_s.tolist(),
         slips=table.slips.tolist(),
+        ambiguity_variance_cyc2=table.ambiguity_variance_cyc2.tolist(),
+        lock_epochs=table.lock_epochs.tolist(),
+        rejects=table.rejects.tolist(),
+        ionosphere_m=_ionosphere_m(solution),
     )
+
+
+def _ionosphere_m(solution: Solution) -> list[float]:
+    """Return the ionosphere's delay of each row of the satellite table."""
+    state = solution.float_state
+    delays = dict(zip(state.satellites.tolist(), state.ionosphere_m.tolist(), strict=True))
+    return [delays.get(number, nan) for number in solution.satellites.satellite.tolist()]
+
+
+def _zenith_delays_m(solution: Solution) -> tuple[float, float]:
+    """Return the zenith delays of rover and base (the base's is the model's), NaN where the filter has no such state."""
+    relative_m = float(solution.float_state.zenith_m)
+    if not isfinite(relative_m):
+        return nan, nan
+    rover_m, base_m = (_model_zenith_m(place) for place in (solution.position_ecef_m, solution.base_ecef_m))
+    return rover_m + relative_m, base_m
+
+
+def _model_zenith_m(position_ecef_m: Array) -> float:
+    lat_rad, _, height_m = geodetic_from_ecef(position_ecef_m).tolist()
+    return float(zenith_hydrostatic_m(lat_rad, height_m) + zenith_wet_m(height_m))
 
 
 def _vector(values: Array) -> Vector:

@@ -20,6 +20,7 @@ class MonitorService(Service):
 
     role: ClassVar[Role] = Role.MONITOR
     operations: ClassVar[Mapping[str, str]] = {"fleet": "the health of every process"}
+    reads: ClassVar[frozenset[str]] = frozenset({"fleet"})
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)

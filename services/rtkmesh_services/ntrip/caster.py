@@ -18,6 +18,7 @@ from rtkmesh_services.ntrip.frames import FrameQueue, StreamPicture
 from rtkmesh_services.ntrip.protocol import chunk
 from rtkmesh_services.ntrip.request import Request, is_allowed, parse_request, refusal_answer, source_refusal, stream_answer, table_answer
 from rtkmesh_services.ntrip.source_table import MountPoint
+from rtkmesh_services.waker import Waker
 
 REQUEST_S: Final = 10.0
 STALLED_S: Final = 60.0
@@ -62,23 +63,29 @@ class _Client:
 class Caster:
     """Serves frames to clients. ``publish`` and ``describe`` may be called from any thread, and never block."""
 
-    def __init__(self, host: str, port: int, mounts: Mapping[str, MountPoint], users: Mapping[str, str], maximum_clients: int = 64) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        mounts: Mapping[str, MountPoint],
+        users: Mapping[str, str],
+        maximum_clients: int = 64,
+        header: bytes = b"",
+    ) -> None:
         self._listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
         self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
-        self._users, self._maximum_clients = dict(users), maximum_clients
+        self._users, self._maximum_clients, self._header = dict(users), maximum_clients, header
         self._lock = threading.Lock()
         self._rows = dict(mounts)
         self._pictures = {name: StreamPicture() for name in mounts}
         self._pending: deque[tuple[str, bytes]] = deque(maxlen=MAXIMUM_PENDING)
         self._clients: dict[socket.socket, _Client] = {}
-        self._wake_in, self._wake_out = socket.socketpair()
-        self._wake_in.setblocking(False)
-        self._wake_out.setblocking(False)
+        self._waker = Waker()
         self._stopping = threading.Event()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
-        self._selector.register(self._wake_out, selectors.EVENT_READ)
+        self._selector.register(self._waker.reader, selectors.EVENT_READ)
         self._thread = threading.Thread(target=self._run, daemon=True, name="caster")
         self.refused = self.dropped = 0
 
@@ -89,7 +96,7 @@ class Caster:
     def close(self) -> None:
         """Stop serving and let go of everything."""
         self._stopping.set()
-        self._wake()
+        self._waker.wake()
         if self._thread.is_alive():
             self._thread.join(2.0)
         else:
@@ -99,7 +106,7 @@ class Caster:
         """Send a frame to all clients of a mount point."""
         with self._lock:
             self._pending.append((mount, frame))
-        self._wake()
+        self._waker.wake()
 
     def describe(self, mount: MountPoint) -> None:
         """Say anew what the source table tells of a mount point beside what its frames tell."""
@@ -115,17 +122,13 @@ class Caster:
     def _status(self, client: _Client, request: Request) -> ClientStatus:
         return ClientStatus(request.mount, client.address, request.version, request.user, request.agent, client.sent, client.queue.dropped)
 
-    def _wake(self) -> None:
-        with suppress(OSError):  # full: it is awake anyway
-            self._wake_in.send(b"\0")
-
     def _run(self) -> None:
         while not self._stopping.is_set():
             for key, events in self._selector.select(POLL_S):
                 if key.fileobj is self._listener:
                     self._accept()
-                elif key.fileobj is self._wake_out:
-                    self._drain()
+                elif key.fileobj is self._waker.reader:
+                    self._waker.drain()
                 else:
                     self._on_client(key.data, events)
             self._spread()
@@ -136,13 +139,8 @@ class Caster:
         for client in tuple(self._clients.values()):
             self._drop(client)
         self._selector.close()
-        for end in (self._listener, self._wake_in, self._wake_out):
-            end.close()
-
-    def _drain(self) -> None:
-        with suppress(OSError):
-            while self._wake_out.recv(4096):
-                pass
+        self._listener.close()
+        self._waker.close()
 
     def _accept(self) -> None:
         try:
@@ -199,8 +197,8 @@ class Caster:
             self._serve(client, request)
 
     def _serve(self, client: _Client, request: Request) -> None:
-        first = stream_answer(request.version)
-        client.sending = memoryview(first + b"".join(map(client.wrapped, self._pictures[request.mount].station_frames())))
+        first = [self._header] if self._header else self._pictures[request.mount].station_frames()
+        client.sending = memoryview(stream_answer(request.version) + b"".join(map(client.wrapped, first)))
         client.serving, client.deadline_s = True, monotonic() + STALLED_S
         self._write(client)
 
@@ -215,7 +213,7 @@ class Caster:
 
     def _row(self, name: str) -> MountPoint:
         row, picture = self._rows[name], self._pictures[name]
-        told = {"format": picture.format, "details": picture.details, "systems": picture.systems, "bitrate": picture.bitrate}
+        told = {"format": row.format or picture.format, "details": picture.details, "systems": picture.systems, "bitrate": picture.bitrate}
         return replace(row, carrier=2 if picture.has_phases else 0, authentication="B" if self._users else "N", **told)
 
     def _spread(self) -> None:

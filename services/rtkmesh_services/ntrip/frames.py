@@ -6,6 +6,7 @@ from typing import Final
 
 MAXIMUM_BYTES: Final = 131072
 MAXIMUM_AGE_S: Final = 15.0  # corrections that are older help nobody
+BASIC: Final = frozenset({*range(1001, 1007), *range(1009, 1013), *range(1071, 1140), 1230})  # what Skybrush calls so
 STATION_NUMBERS: Final = frozenset({1005, 1006, 1007, 1008, 1033, 1230})
 _SYSTEMS: Final = {107: "GPS", 108: "GLO", 109: "GAL", 110: "SBAS", 111: "QZS", 112: "BDS", 113: "IRN"}
 _LEGACY: Final = {1002: "GPS", 1004: "GPS", 1010: "GLO", 1012: "GLO"}

@@ -1,19 +1,24 @@
-"""The output role: one output stream of a solver, as rtkrcv's outstr: text lines to a file, TCP or UDP."""
+"""The output role: one output stream, as rtkrcv's outstr: a solver's solutions as text, or receivers' frames, to one target."""
 
-from typing import Any, ClassVar
+from collections.abc import Iterable
+from typing import Any, ClassVar, Final
 
 from rtkmesh_schemas.config import OutputTable
 from rtkmesh_schemas.errors import DecodeError, VersionError
-from rtkmesh_schemas.keys import SOL, SOL_TEXT, Role
-from rtkmesh_schemas.solution import SolutionMessage
-from rtkmesh_schemas.status import InputStatus, Level, State
-from rtkmesh_schemas.wire import decode, encode_json
+from rtkmesh_schemas.keys import EVENT, SAT, SOL, Role
+from rtkmesh_schemas.solution import SatellitesMessage, SolutionMessage
+from rtkmesh_schemas.status import Event, InputStatus
+from rtkmesh_schemas.wire import decode
 from rtkmesh_services.output.frames import FrameOutputService
-from rtkmesh_services.output.targets import Target, open_target
+from rtkmesh_services.output.opening import open_caster, open_sink
+from rtkmesh_services.output.sender import Header
+from rtkmesh_services.output.targets import check_output
+from rtkmesh_services.output.text_feed import TextFeed
+from rtkmesh_services.output.watch import Watch, drain
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.service import Context, Report, Service
 
-RETRY_NS = 1_000_000_000
+MARK: Final = "mark"  # the code of a solver's event
 
 
 class OutputService(Service):
@@ -24,72 +29,91 @@ class OutputService(Service):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._table: OutputTable = context.deployment.output[context.id]
-        self._target: Target | None = None
-        self._error = ""
-        self._lines = self._lost = 0
-        self._tried_ns = 0
+        check_output(self._table)
+        self._feed = TextFeed(self._table, context.deployment.solver[self._table.solver])
+        self._watch: Watch | None = None
+        self._newest: SolutionMessage | None = None
+        self._solutions = self._lost = self._lines = self._errors = 0
 
     def open(self) -> None:
         """Open the target and subscribe to the solver."""
-        self._open_target()
-        json = self._table.format == "json"
-        key = SOL.key(self._table.solver) if json else SOL_TEXT.key(self._table.solver, format=self._table.format)
-        self.context.subscribe(key, lane="sol")
+        context, table = self.context, self._table
+        header = self._feed.header
+        sink = open_caster(context, table, source_table_format(table), header) or open_sink(context, table, Header(header))
+        self._watch = Watch(context, sink)
+        self._watch.tick(context.clock.mono_ns())
+        context.subscribe(SOL.key(table.solver), lane="sol")
+        context.subscribe(EVENT.key(table.solver, level="*"), lane="sol")
+        if table.takes_satellites:
+            context.subscribe(SAT.key(table.solver), lane="sol")
 
     def handle(self, item: Any) -> None:
-        """Write one solution."""
+        """Take a solution, its satellites or an event."""
         if not isinstance(item, Sample):
             return
+        kind, now_ns = item.key.split("/")[2], self.context.clock.mono_ns()
         try:
-            line = self._line(item)
-            if self._target is None:
-                raise ConnectionError(self._error or "target is not open")
-            self._target.send(item.attachment or b"", line)
-            self._lines += 1
-            self._error = ""
-        except (DecodeError, VersionError, OSError) as error:
-            self._lost += 1
-            self._failed(str(error))
+            if kind == "sol":
+                solution = decode(SolutionMessage, item.payload, item.encoding)
+                self._count(solution)
+                self._send(self._feed.solution(solution, now_ns))
+            elif kind == "sat":
+                self._send(self._feed.satellites(decode(SatellitesMessage, item.payload, item.encoding), now_ns))
+            elif (event := decode(Event, item.payload, item.encoding)).code == MARK:
+                self._send([self._feed.mark(event.data)])
+        except (DecodeError, VersionError):
+            self._errors += 1
 
     def tick(self, now_mono_ns: int) -> None:
-        """Let the target accept, reconnect and flush; try again to open it."""
-        if self._target is not None:
-            try:
-                self._target.tick()
-            except OSError as error:
-                self._failed(str(error))
-        elif now_mono_ns - self._tried_ns > RETRY_NS:
-            self._tried_ns = now_mono_ns
-            self._open_target()
+        """Write what has waited long enough; look after the target."""
+        self._send(self._feed.overdue(now_mono_ns))
+        if self._watch is not None:
+            self._watch.tick(now_mono_ns)
+
+    def due_mono_ns(self) -> float:
+        """Return when an epoch has waited long enough for its satellites."""
+        return self._feed.due_ns()
 
     def report(self) -> Report:
-        """Tell the target and the lines."""
-        state = State.DEGRADED if self._error else State.RUNNING
-        detail = "" if self._target is None else self._target.detail
-        target = InputStatus(name=self._table.solver, state=state.value, detail=detail, messages=self._lines, dropped=self._lost)
-        return Report(state=state, reason=self._error, inputs=[target], counters={"lines": self._lines, "lines_lost": self._lost})
+        """Tell the solver, the target and its clients."""
+        state = "heard" if self._solutions else "silent"
+        solver = InputStatus(name=self._table.solver, state=state, messages=self._solutions, lost=self._lost)
+        counters = {"lines": self._lines, "errors": self._errors}
+        if self._watch is None:
+            return Report(inputs=[solver], counters=counters)
+        sink, newest = self._watch.sink, self._newest
+        return Report(
+            state=self._watch.state,
+            reason=self._watch.reason,
+            inputs=[solver, *sink.statuses()],
+            counters={**counters, "lines_lost": sink.dropped},
+            last_epoch=None if newest is None else (newest.week, newest.tow_s),
+        )
 
     def close(self) -> None:
-        """Close the target."""
-        if self._target is not None:
-            self._target.close()
+        """Write the rest and close the target."""
+        drain(self.context, self.handle)
+        self._send(self._feed.rest())
+        if self._watch is not None:
+            self._watch.close()
 
-    def _line(self, sample: Sample) -> bytes:
-        if self._table.format != "json":
-            return sample.payload if sample.payload.endswith(b"\n") else sample.payload + b"\n"
-        return encode_json(decode(SolutionMessage, sample.payload, sample.encoding)) + b"\n"
+    def _send(self, texts: Iterable[bytes]) -> None:
+        for text in texts:
+            assert self._watch is not None, "nothing comes before it is open"
+            self._watch.sink.send(text)
+            self._lines += 1
 
-    def _open_target(self) -> None:
-        try:
-            self._target = open_target(self._table.target)
-            self._error = ""
-        except OSError as error:
-            self._failed(f"{self._table.target}: {error.strerror or error}")
+    def _count(self, solution: SolutionMessage) -> None:
+        """Count the solution, and those before it that did not come."""
+        last, self._newest = self._newest, solution
+        self._solutions += 1
+        if last is not None and last.start_id == solution.start_id:
+            self._lost += max(0, solution.sequence - last.sequence - 1)
 
-    def _failed(self, error: str) -> None:
-        if error != self._error:
-            self._error = error
-            self.context.event(Level.WARNING, "output_failed", error)
+
+def source_table_format(table: OutputTable) -> str:
+    """Return what our caster's source table says of a solver's text."""
+    return {"nmea": "NMEA", "json": "JSON"}.get(table.format, f"RTKLIB {table.format}")
 
 
 def create(context: Context) -> Service:

@@ -12,10 +12,10 @@ from typing import Any, ClassVar, Final
 from rtkmesh_schemas.config import RecorderTable
 from rtkmesh_schemas.keys import RAW, Role
 from rtkmesh_schemas.status import InputStatus, Level, State
-from rtkmesh_services.recorder.raw_log import RawLog
-from rtkmesh_services.recorder.writer import LogWriter
 from rtkmesh_services.runtime.bus import Sample
+from rtkmesh_services.runtime.log_writer import LogWriter
 from rtkmesh_services.runtime.path_keywords import expanded, swap_number
+from rtkmesh_services.runtime.raw_log import RawLog
 from rtkmesh_services.runtime.service import Context, Report, Service
 
 AGAIN_NS: Final = 1_000_000_000  # after which a file that could not be made is tried again

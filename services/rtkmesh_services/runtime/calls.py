@@ -33,14 +33,19 @@ def call(
     deadline_s: float = 2.0,
     *,
     caller: str = "",
+    expires_s: float = 0.0,
     pause: Callable[[float], None] = time.sleep,
 ) -> list[Reply]:
     """Ask process ``id`` to do ``op``; return its reply, or one that says absent, hung or refused.
 
-    ``*`` asks all: one reply for each that answered and each that holds a token; empty only when nobody is there.
+    ``*`` asks all: one reply for each that answered and each that holds a token; empty only when nobody is there. ``expires_s``: not to be
+    done later than in so many seconds (0: whenever it comes); say it only where the clocks of both hosts agree.
     """
     check_id(id)
-    request = Request(op=op, args=dict(args or {}), request_id=uuid.uuid4().hex, caller=caller or default_caller())
+    expires_utc_ns = time.time_ns() + round(expires_s * 1e9) if expires_s else 0
+    request = Request(
+        op=op, args=dict(args or {}), request_id=uuid.uuid4().hex, caller=caller or default_caller(), expires_utc_ns=expires_utc_ns
+    )
     deadline = time.monotonic() + deadline_s
     before = bus.live(timeout_s=min(deadline_s, 1.0))
     replies: dict[str, Reply] = {}

@@ -7,7 +7,6 @@ import hashlib
 import math
 import os
 import re
-import stat
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from rtkmesh_schemas.config import Deployment, SolverTable
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.runtime.deployment_checks import NAMED, check_deployment
+from rtkmesh_services.runtime.files_below import read_below
 from rtkmesh_services.runtime.toml_lines import lines_of
 from rtkmesh_services.runtime.words import clip, nearest
 
@@ -30,7 +30,6 @@ _REFERENCE: Final = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _UNKNOWN: Final = re.compile(r"unknown field `(?P<name>.*?)`")
 _MISSING: Final = re.compile(r"missing required field `(?P<name>.*?)`")
 _AT: Final = re.compile(r" - at `\$(?P<path>.*?)`$")
-_FILE_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -127,7 +126,11 @@ def load_solver_table(name: str, config_folder: Path) -> SolverTable:
 
     ``name`` is a file's name or a relative path of plain names: no way out, no link, a regular file of at most 64 KiB.
     """
-    text = _read_below(name, config_folder)
+    return parse_solver_table(_decoded(read_below(name, config_folder, MAXIMUM_SOLVER_FILE), name), name)
+
+
+def parse_solver_table(text: str, name: str) -> SolverTable:
+    """Return the one ``[solver]`` table of a TOML text; ConfigErrors names everything that is wrong in it."""
     reader = _Reader(name, text, None)
     for key in reader.raw:
         if key != "solver":
@@ -150,7 +153,7 @@ class _Reader:
         try:
             self.raw: dict[str, Any] = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise ConfigErrors([_syntax_error(file, error)]) from error
+            raise ConfigErrors([_syntax_error(file, text, error)]) from error
         self._lines = lines_of(text)
         self.raw = self._expanded(self.raw, ())
 
@@ -289,34 +292,10 @@ def _decoded(data: bytes, file: str) -> str:
         raise ConfigErrors([ConfigError(file, line, "no UTF-8 text")]) from error
 
 
-def _read_below(name: str, folder: Path) -> str:
-    """Return the text of a file below ``folder``, opened step by step without following links."""
-    parts = name.split("/")
-    if not name or any(not _FILE_NAME.fullmatch(part) for part in parts):
-        raise ConfigError(clip(name), None, "no file's name: letters, digits, '.', '_', '-', below the configuration folder")
-    descriptors: list[int] = []
-    try:
-        descriptors.append(os.open(folder, os.O_RDONLY | os.O_DIRECTORY))
-        for part in parts[:-1]:
-            descriptors.append(os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=descriptors[-1]))
-        descriptors.append(os.open(parts[-1], os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=descriptors[-1]))
-        if not stat.S_ISREG(os.fstat(descriptors[-1]).st_mode):
-            raise ConfigError(name, None, "no regular file")
-        data = os.read(descriptors[-1], MAXIMUM_SOLVER_FILE + 1)
-    except OSError as error:
-        raise ConfigError(name, None, f"{error.strerror or error} (below the configuration folder)") from error
-    finally:
-        for descriptor in descriptors:
-            os.close(descriptor)
-    if len(data) > MAXIMUM_SOLVER_FILE:
-        raise ConfigError(name, None, f"more than {MAXIMUM_SOLVER_FILE} bytes")
-    return _decoded(data, name)
-
-
-def _syntax_error(file: str, error: Exception) -> ConfigError:
+def _syntax_error(file: str, text: str, error: Exception) -> ConfigError:
     match = re.search(r" \(at line (\d+), column (\d+)\)$", str(error))
-    if match is None:
-        return ConfigError(file, None, f"no TOML: {error}")
+    if match is None:  # at the end of the document
+        return ConfigError(file, text.rstrip().count("\n") + 1, f"no TOML: {error}")
     return ConfigError(file, int(match[1]), f"no TOML: {str(error)[: match.start()]} (column {match[2]})")
 
 
@@ -371,6 +350,7 @@ def _literals(annotation: Any) -> list[Any]:
 
 def _plain(message: str) -> str:
     names = {"`str`": "text", "`float`": "a number", "`int`": "a whole number", "`bool`": "true or false", "`array`": "a list"}
+    message = message.replace(" | null`", "`")
     for word, plain in names.items():
         message = message.replace(word, plain)
     return (message[0].lower() + message[1:]).replace("`", "")

@@ -2,33 +2,25 @@
 
 import re
 from collections.abc import Mapping
-from typing import Final, Protocol
+from typing import Final
 
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.receiver_options import parse_receiver_options
-from rtkmesh_schemas.config import Deployment, IngestTable, OutputTable, SolverTable
+from rtkmesh_schemas.config import Deployment, IngestTable, SolverTable
 from rtkmesh_schemas.errors import BadKeyError
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
+from rtkmesh_services.runtime.addresses import address_of, is_loopback
+from rtkmesh_services.runtime.file_faults import Faults
+from rtkmesh_services.runtime.output_checks import check_output_table, check_ports
+from rtkmesh_services.runtime.preset_checks import check_presets
 from rtkmesh_services.runtime.rule_words import RuleError, parse_rule
+from rtkmesh_services.runtime.telnet_checks import check_telnet
 from rtkmesh_services.runtime.words import clip, nearest
 
 MULTIPLE: Final = ("ingest", "solver", "attitude", "output", "recorder", "ros2", "monitor")
-NAMED: Final = (*MULTIPLE, "rule")  # all that are written [TABLE.NAME]
+NAMED: Final = (*MULTIPLE, "preset", "rule", "telnet")  # all that are written [TABLE.NAME]
 _SATELLITE: Final = re.compile(r"[GRECJSI]\d\d")
-_MOUNT: Final = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _LOOPBACK: Final = re.compile(r"(?:tcp|udp|quic|tls|ws)/(?:127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+|unixsock-stream/.+")
-
-
-class Faults(Protocol):
-    """What gathers the faults of one file."""
-
-    def fault(self, path: tuple[str, ...], message: str) -> None:
-        """Gather one fault at a key (or at the nearest table above it)."""
-        ...
-
-    def names_of(self, role: str) -> list[str]:
-        """Return the ids of a role, also of tables that have faults of their own."""
-        ...
 
 
 def check_deployment(reader: Faults, deployment: Deployment) -> None:
@@ -43,16 +35,19 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
         _check_reference(reader, "ingest", solver.rover, ("solver", id, "rover"))
         if solver.base:
             _check_reference(reader, "ingest", solver.base, ("solver", id, "base"))
-        elif solver.mode != "single":
+        elif solver.mode != "single" and not solver.presets and not deployment.preset:
             reader.fault(("solver", id), f"[solver.{id}] has no 'base', which mode {solver.mode!r} needs")
         for index, navigation in enumerate(solver.navigation):
             _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
         _check_solver(reader, id, solver)
     for id, table in deployment.attitude.items():  # noqa: A001
         _check_reference(reader, "solver", table.solver, ("attitude", id, "solver"))
-    for id, output in deployment.output.items():  # noqa: A001
-        _check_output(reader, id, output)
+    for id in deployment.output:  # noqa: A001
+        _check_output(reader, id, deployment)
     _check_lists(reader, deployment)
+    _check_flockwave(reader, deployment)
+    check_presets(reader, deployment)
+    check_telnet(reader, deployment)
     _check_rules(reader, deployment)
     for index, address in enumerate(deployment.hub.listen):
         if not deployment.hub.insecure and not _LOOPBACK.fullmatch(address):
@@ -60,6 +55,20 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
                 ("hub", "listen", str(index)),
                 f"[hub] listen: {address!r} is no loopback address; others could command your receivers: say insecure = true to allow it",
             )
+
+
+def _check_flockwave(reader: Faults, deployment: Deployment) -> None:
+    """Gather addresses that are none, and those that others reach though nobody said so."""
+    for name in ("tcp", "udp"):
+        text: str = getattr(deployment.flockwave, name)
+        try:
+            host = address_of(text)[0] if text else "localhost"
+        except ValueError as error:
+            reader.fault(("flockwave", name), f"[flockwave] {name}: {clip(text)!r} {error}")
+            continue
+        if not deployment.flockwave.insecure and not is_loopback(host):
+            why = "is no loopback address; others could command your bases: say insecure = true to allow it"
+            reader.fault(("flockwave", name), f"[flockwave] {name}: {clip(text)!r} {why}")
 
 
 def _check_options(reader: Faults, id: str, text: str) -> None:  # noqa: A002
@@ -115,24 +124,22 @@ def _check_solver(reader: Faults, id: str, solver: SolverTable) -> None:  # noqa
             reader.fault(("solver", id, "excluded", str(index)), f"[solver.{id}] excluded: {clip(name)!r} is no satellite such as G05")
 
 
-def _check_output(reader: Faults, id: str, output: OutputTable) -> None:  # noqa: A002
-    given = [name for name in ("solver", "receiver", "mounts") if getattr(output, name)]
-    wanted = "mounts" if output.target.startswith("ntrip-caster://") else "solver or receiver"
-    if len(given) != 1 or (given[0] == "mounts") != (wanted == "mounts"):
-        has = f"has {' and '.join(repr(name) for name in given)}" if given else "says nothing"
-        reader.fault(("output", id), f"[output.{id}] {has} where it needs {wanted}: what is to be sent")
+def _check_output(reader: Faults, id: str, deployment: Deployment) -> None:  # noqa: A002
+    output = deployment.output[id]
+
+    def fault(key: str, text: str) -> None:
+        reader.fault(("output", id, *filter(None, key.split(".", 1))), f"[output.{id}] {text}")
+
+    if not check_output_table(output, fault):
         return
-    if output.encode and (output.solver or output.protocol != "rtcm3"):
-        what = "a solver's lines" if output.solver else f'protocol = "{output.protocol}"'
-        reader.fault(("output", id, "encode"), f"[output.{id}] encode makes RTCM 3 of a receiver's stream, and this is {what}")
+    check_ports(deployment, id, fault)
     if output.solver:
         _check_reference(reader, "solver", output.solver, ("output", id, "solver"))
     if output.receiver:
         _check_reference(reader, "ingest", output.receiver, ("output", id, "receiver"))
+    if output.scheme == "ingest":
+        _check_reference(reader, "ingest", output.target.partition("://")[2], ("output", id, "target"))
     for mount, receiver in output.mounts.items():
-        if not _MOUNT.fullmatch(mount):
-            text = f"{clip(mount)!r} is no mount point: letters, digits, '_', '-', '.'"
-            reader.fault(("output", id, "mounts", mount), f"[output.{id}] mounts: {text}")
         _check_reference(reader, "ingest", receiver, ("output", id, "mounts", mount))
 
 

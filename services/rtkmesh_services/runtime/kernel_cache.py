@@ -1,19 +1,24 @@
-"""Where compiled kernels are kept: one folder per state of the engine's sources.
+"""Where compiled kernels are kept: one folder per state of the sources that kernels depend on.
 
 numba looks only at the file of a kernel when it decides whether its compiled form is still good, not at the kernels that it
-calls in other files. A folder named by a hash of all sources makes an old form impossible. This must be called before numba is imported.
+calls, and the constants that it takes, from other files. A folder named by a hash of all files with kernels and all that these import
+makes an old form impossible. This must be called before numba is imported.
 """
 
 import os
+import re
 import stat
 import sys
 import time
+from collections.abc import Iterator, Mapping
 from hashlib import blake2b
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
 VARIABLE: Final = "NUMBA_CACHE_DIR"
+_KERNEL: Final = b"@kernel"
+_IMPORTED: Final = re.compile(rb"^\s*(?:from|import) +(rtkmesh[\w.]*)(?: +import +(\([^)]*|[^\n]*))?", re.MULTILINE)
 UNUSED_S: Final = 30 * 86400.0  # folders of other states that nobody has used for so long are removed
 
 
@@ -34,15 +39,42 @@ def use_kernel_cache() -> Path:
 
 
 def engine_hash() -> str:
-    """Return a name for the state of the engine's sources."""
+    """Return a name for the state of the engine's files that have kernels, and of all that they import."""
     spec = find_spec("rtkmesh")
     assert spec is not None, "the engine is installed with the services"
     assert spec.origin is not None, "the engine is a package with an __init__"
     root = Path(spec.origin).parent
     digest = blake2b(digest_size=8)
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    texts = {module_of(path, root): path.read_bytes() for path in root.rglob("*.py")}
+    for name in sorted(needed_by_kernels(texts)):
+        digest.update(name.encode() + b"\0" + texts[name])
     return f"kernels-{digest.hexdigest()}"
+
+
+def module_of(path: Path, root: Path) -> str:
+    """Return the name of the module in a file below the folder of the engine."""
+    parts = path.relative_to(root.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def needed_by_kernels(texts: Mapping[str, bytes]) -> set[str]:
+    """Return the modules with kernels and, of all that they import, the modules of the engine."""
+    found: set[str] = set()
+    todo = [name for name, text in texts.items() if _KERNEL in text]
+    while todo:
+        name = todo.pop()
+        if name in texts and name not in found:
+            found.add(name)
+            todo += _imports(texts[name])
+    return found
+
+
+def _imports(text: bytes) -> Iterator[str]:
+    """Yield the modules that a source may import, with the packages around them."""
+    for module, names in _IMPORTED.findall(text):
+        parts = module.decode().split(".")
+        yield from (".".join(parts[:n]) for n in range(1, len(parts) + 1))
+        yield from (f"{module.decode()}.{name.strip()}" for name in names.decode().lstrip("(").split(","))
 
 
 def forget_old(folder: Path) -> int:

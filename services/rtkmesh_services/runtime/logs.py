@@ -19,6 +19,7 @@ MAXIMUM_TEXT: Final = 4000
 # A user may be a mail address, a password may hold anything but spaces: all up to the last @ is secret.
 _SECRET: Final = re.compile(r"(?P<head>[a-z][a-z0-9+.-]*://[^\s:/?#]*):(?P<secret>\S+)@", re.IGNORECASE)
 _SECRET_TABLES: Final = ("users",)
+_SECRET_NAMES: Final = ("password",)
 _NAMED_SECRET: Final = re.compile(r"(?P<head>\b(?:password|passwd|secret|token|pw)=)[^\s&;\"']+", re.IGNORECASE)
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _COLOURS: Final = {"DEBUG": "\x1b[2m", "WARNING": "\x1b[33m", "ERROR": "\x1b[31m", "CRITICAL": "\x1b[31m"}
@@ -38,10 +39,14 @@ def masked(value: Any) -> Any:
     if isinstance(value, str):
         return clean(value)
     if isinstance(value, dict):
-        return {name: _hidden(item) if name in _SECRET_TABLES else masked(item) for name, item in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  any plain value
+        return {name: _hidden(item) if name in _SECRET_TABLES else _named(name, item) for name, item in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  any plain value
     if isinstance(value, (list, tuple)):
         return [masked(item) for item in value]  # pyright: ignore[reportUnknownVariableType]  any plain value
     return value
+
+
+def _named(name: Any, value: Any) -> Any:
+    return "***" if name in _SECRET_NAMES and value else masked(value)
 
 
 def _hidden(value: Any) -> Any:

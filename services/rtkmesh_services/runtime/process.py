@@ -27,6 +27,7 @@ from rtkmesh_services.runtime.bus import Bus
 from rtkmesh_services.runtime.configuration import Site
 from rtkmesh_services.runtime.inbox import Inbox
 from rtkmesh_services.runtime.lifecycle import Lifecycle
+from rtkmesh_services.runtime.log_files import bound_own_output
 from rtkmesh_services.runtime.logs import BusHandler, configure
 from rtkmesh_services.runtime.service import Context, CreateService
 
@@ -37,6 +38,7 @@ EXIT_CUT: Final = 75
 END_S: Final = 1.5
 SWITCH_S: Final = 0.0005  # Zenoh's callbacks wait for the interpreter that long behind a busy loop (Python's 5 ms: p50 11 ms, now 1 ms)
 PARENT_VARIABLE: Final = "RTKMESH_PARENT"
+RUNNING_VARIABLE: Final = "RTKMESH_RUNNING"  # 1 or 0: what the process that we replace had been told last
 _PR_SET_PDEATHSIG: Final = 1
 _ENDING: Final = frozenset({signal.SIGTERM, signal.SIGINT})
 
@@ -58,6 +60,7 @@ def run_service(
     """
     log = configure(id, role.value, site.deployment.deployment.log_level)
     guard = Guard(end_s)
+    bound_own_output()
     sys.setswitchinterval(SWITCH_S)
     follow_parent()
     try:
@@ -79,6 +82,7 @@ def run_service(
         config_folder=site.folder,
         config_hash=site.hash,
         data_folder=site.data_folder,
+        running={"0": False, "1": True}.get(os.environ.get(RUNNING_VARIABLE, "")),
     )
     return _live(create, context, guard)
 

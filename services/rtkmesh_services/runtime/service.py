@@ -41,9 +41,10 @@ from typing import Any, ClassVar
 from rtkmesh_schemas.command import Code, Reply, Request
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.keys import EVENT, Role
-from rtkmesh_schemas.status import Event, InputStatus, Level, Quantiles, State
+from rtkmesh_schemas.status import Event, InputStatus, Level, Quantiles, ServiceStatus, State
 from rtkmesh_services.runtime.bus import Bus, Handle, Sample
 from rtkmesh_services.runtime.clock import Clock
+from rtkmesh_services.runtime.faults import Fault, Faults, time_of_utc
 from rtkmesh_services.runtime.inbox import Inbox
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 
@@ -57,7 +58,10 @@ def new_start_id() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """What the runtime gives to a service. ``stopping`` is set when the process is to end."""
+    """What the runtime gives to a service. ``stopping`` is set when the process is to end.
+
+    ``running``: control replaces a process that commands had started or stopped; None: it is as its table says.
+    """
 
     id: str
     role: Role
@@ -71,7 +75,9 @@ class Context:
     config_folder: Path = Path()
     config_hash: str = ""
     data_folder: Path | None = None
+    running: bool | None = None
     stopping: threading.Event = field(default_factory=threading.Event)
+    faults: Faults = field(default_factory=Faults)
     _events: Iterator[int] = field(default_factory=itertools.count)
 
     def subscribe(self, expression: str, *, lane: str = "stream", history: bool = False, latest: bool = False) -> Handle:
@@ -101,6 +107,8 @@ class Context:
             mono_ns=self.clock.mono_ns(),
             data=data,
         )
+        if level in (Level.WARNING, Level.ERROR):
+            self.faults.add(Fault(time_of_utc(event.utc_ns), level.value, code, text))
         self.bus.publish(EVENT, event, level=level.value)
 
     def wait(self, seconds: float) -> bool:
@@ -127,6 +135,7 @@ class Service(ABC):
     role: ClassVar[Role]
     tick_s: ClassVar[float] = 0.1
     operations: ClassVar[Mapping[str, str]] = {}
+    reads: ClassVar[frozenset[str]] = frozenset()  # those of them that change nothing: they are no events
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -156,6 +165,10 @@ class Service(ABC):
         """Return the service's present table of the deployment file."""
         tables: Any = getattr(self.context.deployment, self.context.role.value, {})
         return tables.get(self.context.id) if isinstance(tables, dict) else tables  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]  a role's tables are Any here
+
+    def status_screen(self, status: ServiceStatus) -> tuple[str, dict[str, Any]]:  # noqa: ARG002  a quiet default
+        """Return what RTKRCV's console shows for ``status``, and what it tells beside the status itself."""
+        return "", {}
 
     def report(self) -> Report:
         """Return how the service is; cheap."""

@@ -29,11 +29,15 @@ def locked(file: Path) -> Generator[None]:
         yield
 
 
-def write_state(file: Path, encoded: bytes) -> None:
-    """Put JSON in the file's place, indented for people, durable before it counts; OSError if that fails."""
+def write_state(file: Path, encoded: bytes, *, durable: bool = True) -> None:
+    """Put JSON in the file's place, indented for people, durable before it counts; OSError if that fails.
+
+    Not ``durable``: it need not outlive a power cut, as what is known of running processes.
+    """
     beside = file.with_suffix(".new")
     with beside.open("wb") as new:
         new.write(msgspec.json.format(encoded, indent=2) + b"\n")
         new.flush()
-        os.fsync(new.fileno())
+        if durable:
+            os.fsync(new.fileno())
     beside.replace(file)

@@ -1,12 +1,15 @@
 """Who takes a solver's solutions in its deployment: outputs and attitudes. A replay begins when they are there."""
 
-from rtkmesh_schemas.keys import SOL_TEXT
+from rtkmesh_schemas.keys import SAT, SOL
 from rtkmesh_services.runtime.bus import Liveliness
 from rtkmesh_services.runtime.service import Context
 
 
 class Followers:
-    """The processes of a deployment that subscribe to one solver; ``here`` when all have come, then for ever."""
+    """The processes of a deployment that subscribe to one solver; ``here`` when all have come, then for ever.
+
+    ``wants_satellites``: one of them writes the satellites of every epoch.
+    """
 
     def __init__(self, context: Context) -> None:
         self._bus = context.bus
@@ -14,11 +17,11 @@ class Followers:
         outputs = {id_: table for id_, table in deployment.output.items() if table.solver == me}
         attitudes = [id_ for id_, table in deployment.attitude.items() if table.solver == me]
         self._missing = {*outputs, *attitudes}
-        self._formats = {table.format for table in outputs.values()} - {"json"}
+        self.wants_satellites = any(table.takes_satellites for table in outputs.values())
         self._here = not self._missing
 
     def watch(self) -> None:
-        """Begin to look; the formats are declared here, so that the bus knows their subscribers before the first solution."""
+        """Begin to look; the streams are declared here, so that the bus knows their subscribers before the first solution."""
         if not self._here:
             self._bus.on_live(self._on_live)
             self._listened()
@@ -29,7 +32,8 @@ class Followers:
         return self._here
 
     def _listened(self) -> bool:
-        listened = [self._bus.matched(SOL_TEXT, format=name) for name in self._formats]  # every one is declared by it
+        wanted = [SOL, SAT] if self.wants_satellites else [SOL]
+        listened = [self._bus.matched(stream) for stream in wanted]  # every one is declared by it
         return all(listened)
 
     def _on_live(self, change: Liveliness) -> None:

@@ -1,24 +1,33 @@
-"""RTKRCV's text formats of a solution, published only when somebody listens; the .pos header goes along as attachment."""
+"""RTKRCV's text formats of a solution, published only when somebody listens; the header goes along as attachment."""
 
 from typing import Final
 
-from rtkmesh.codecs.pos import Coordinates, PosFormat, pos_header, pos_line
-from rtkmesh.rtk.solution import Solution, Status
+from rtkmesh.rtk.solution import Solution
 from rtkmesh_schemas.keys import SOL_TEXT
+from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_services.mapping.solution import satellites_message
 from rtkmesh_services.runtime.bus import Bus
+from rtkmesh_services.texts import TextAbout, TextOptions, TextWriter
 
-FORMATS: Final = {
-    "llh": PosFormat(coordinates=Coordinates.LLH),
-    "xyz": PosFormat(coordinates=Coordinates.XYZ),
-    "enu": PosFormat(coordinates=Coordinates.ENU),
-}
-HEADERS: Final = {name: pos_header(form, "rtkmesh").encode() for name, form in FORMATS.items()}
+_OPTIONS: Final = (
+    *(TextOptions(format=name, line_end="lf") for name in ("llh", "xyz", "enu", "vel_enu", "nmea")),
+    TextOptions(format="stat", status="residual"),
+)
+_OF_SATELLITES: Final = ("nmea", "stat")
 
 
-def publish_texts(bus: Bus, solution: Solution) -> None:
-    """Publish the solution as a .pos line in each format that is listened to."""
-    if solution.status is Status.NONE:
-        return
-    for name, form in FORMATS.items():
-        if bus.matched(SOL_TEXT, format=name):
-            bus.publish(SOL_TEXT, pos_line(solution, form), attachment=HEADERS[name], format=name)
+class TextPublisher:
+    """The formats of one solver. Outputs have options of their own and write by themselves."""
+
+    def __init__(self) -> None:
+        self._writers = {options.format: TextWriter(options) for options in _OPTIONS}
+        self._headers = {name: writer.header(TextAbout("rtkmesh")) for name, writer in self._writers.items()}
+
+    def publish(self, bus: Bus, solution: Solution, message: SolutionMessage) -> None:
+        """Publish an epoch in each format that is listened to and has something to say; ``message`` is the solution's."""
+        for name, writer in self._writers.items():
+            if not bus.matched(SOL_TEXT, format=name):
+                continue
+            satellites = satellites_message(solution, message.source) if name in _OF_SATELLITES else None
+            if text := writer.text(message, satellites):
+                bus.publish(SOL_TEXT, text, attachment=self._headers[name] or None, format=name)

@@ -14,7 +14,16 @@ from rtkmesh.rtk.session import EndOfStream as End
 from rtkmesh.rtk.session import Input, Source
 from rtkmesh_schemas.errors import DecodeError, VersionError
 from rtkmesh_schemas.keys import END, EPH, IONO, OBS, REF
-from rtkmesh_schemas.observation import CREDIT_WINDOW, EndOfStream, EphemerisMessage, IonosphereMessage, Observation, ReferenceMessage, Time
+from rtkmesh_schemas.observation import (
+    CREDIT_WINDOW,
+    EndOfStream,
+    EphemerisMessage,
+    GlonassState,
+    IonosphereMessage,
+    Observation,
+    ReferenceMessage,
+    Time,
+)
 from rtkmesh_schemas.status import InputStatus
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.mapping.navigation import ephemeris_of, glonass_bias_of, klobuchar_of, station_of, wire_time
@@ -56,6 +65,7 @@ class InputStream:
     messages: Counter[str] = field(default_factory=Counter[str])
     errors: int = 0
     bytes: int = 0
+    glonass: int = 0  # ephemerides among the messages
     heard_s: float | None = None
     newest: GpsTime | None = None
     ended: bool = False
@@ -82,6 +92,7 @@ class InputStream:
             self.strangers += 1
             return
         self.messages[kind] += 1
+        self.glonass += isinstance(message, EphemerisMessage) and isinstance(message.orbit, GlonassState)
         anchors = isinstance(message, Observation | EndOfStream)
         joins = self._joins(message)
         for ordered in self.sequencer.take(message, message.start_id, message.sequence, now_s, anchors=anchors, joins=joins):

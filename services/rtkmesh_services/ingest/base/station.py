@@ -52,6 +52,7 @@ class BaseStation:
         self.failure = ""
         self.name = table.preset
         self.minimum_s, self.accuracy_m = table.minimum_s, table.accuracy_m
+        self.messages: list[Order] = []  # about which messages it sends: said before each survey and each told position
         self._conversation: Conversation | None = None
         self._then = ""  # the state after the conversation
         self.progress: SurveyIn | None = None
@@ -228,7 +229,7 @@ class BaseStation:
         assert self.dialect is not None, "only a receiver that we can talk to surveys"
         self.progress = None
         self._enter("telling", now_s)
-        self._talk(self.dialect.survey(self.minimum_s, self.accuracy_m), "surveying")
+        self._talk([*self.messages, *self.dialect.survey(self.minimum_s, self.accuracy_m)], "surveying")
 
     def _tell(self, position: BasePosition, now_s: float) -> None:
         self._target = position
@@ -236,7 +237,7 @@ class BaseStation:
             self._stand(position)
             return
         self._enter("telling", now_s)
-        self._talk(self.dialect.fixed(position.position_ecef_m, position.accuracy_m), "fixed")
+        self._talk([*self.messages, *self.dialect.fixed(position.position_ecef_m, position.accuracy_m)], "fixed")
 
     def _talk(self, orders: list[Order], then: str) -> None:
         self._conversation, self._then = Conversation(orders, self._send), then

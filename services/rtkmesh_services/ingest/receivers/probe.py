@@ -16,7 +16,9 @@ from rtkmesh_services.ingest.receivers.configure import Talker, version_of
 from rtkmesh_services.ingest.receivers.orders import Answer, Order
 from rtkmesh_services.ingest.receivers.text_receivers import unicore
 from rtkmesh_services.ingest.receivers.ublox import poll
-from rtkmesh_services.ingest.serial_ports import BAUDS, BY_ID, DEFAULT_BAUD, SerialWire, listen, open_port
+from rtkmesh_services.ingest.serial_ports import BAUDS, SerialWire, listen
+from rtkmesh_services.runtime.port_names import DEFAULT_BAUD
+from rtkmesh_services.runtime.serial_device import BY_ID, open_port
 
 FIRST_WITH_KEYS: Final = 27
 ASKED_BAUDS: Final = BAUDS[:4]  # at which a receiver is asked that sends nothing by itself

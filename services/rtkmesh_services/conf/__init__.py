@@ -1,0 +1,1 @@
+"""RTKLIB's .conf files of both dialects: read, translated to our tables, written, explained. No engine kernels here."""
