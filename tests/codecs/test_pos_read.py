@@ -7,41 +7,36 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtkmesh.codecs.pos import Angles, Coordinates, PosFormat, TimeForm, TimeSystem, pos_header, pos_line
-from rtkmesh.codecs.pos_read import read_pos
-from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef_at
+from rtkmesh.codecs.pos_read import Coordinates, read_pos
+from rtkmesh.gnss.frames import ecef_from_geodetic
 from rtkmesh.gnss.time import GpsTime
 
 POSITION = ecef_from_geodetic(0.7, -0.006, 55.0)
-ROOT = np.array([[0.01, 0.0, 0.0], [0.004, 0.012, 0.0], [-0.003, 0.006, 0.03]])
 
 
-class Solution:
-    time = GpsTime(2232, 400_000.25)
-    status, satellites_used, age_s, ratio = 1, 9, 0.5, 12.0
-    position_ecef_m, base_ecef_m = POSITION, POSITION - [1.0, 2.0, 3.0]
-    baseline_ecef_m = np.array([1.0, 2.0, 3.0])
-    position_cov_ecef_m2 = baseline_cov_ecef_m2 = ROOT @ ROOT.T
-    velocity_ecef_mps, velocity_cov_ecef_m2ps2 = np.zeros(3), np.eye(3)
+TIMES = [("GPST", "2232 400000.250"), ("GPST", "2022/10/20 15:06:40.250"), ("UTC", "2022/10/20 15:06:22.250")]
+LLH, DMS = "40.5 -0.25 55.0", "40 30 0.0 -0 15 0.0 55.0"
 
 
-@pytest.mark.parametrize("kind", list(Coordinates))
-@pytest.mark.parametrize("time_form", list(TimeForm))
-@pytest.mark.parametrize("angles", list(Angles))
-@pytest.mark.parametrize("system", list(TimeSystem))
-def test_what_is_written_is_read(kind: Coordinates, time_form: TimeForm, angles: Angles, system: TimeSystem):
-    """Time to a millisecond, coordinates to 0.2 mm, covariances to the digits of their roots."""
-    if system is TimeSystem.UTC and time_form is TimeForm.TOW:
-        return
-    form = PosFormat(kind, time_form, system, angles=angles)
-    found = read_pos((pos_header(form, "test", []) + pos_line(Solution(), form)).splitlines())
+@pytest.mark.parametrize(("system", "time"), TIMES)
+@pytest.mark.parametrize(("names", "numbers"), [("latitude(deg) longitude(deg)", LLH), ("latitude(d'\") longitude(d'\")", DMS)])
+def test_geodetic_lines_are_read(system: str, time: str, names: str, numbers: str):
+    """The same instant, place (also -0 degrees) and covariance, however they are written."""
+    found = read_pos([f"%  {system}  {names}  height(m)   Q", f"{time} {numbers} 1 9 0.02 0.01 0.03 -0.005 0 0 0 5"])
     (row,) = found.rows
-    turn = enu_from_ecef_at(POSITION)
-    vector = turn @ Solution.baseline_ecef_m if kind is Coordinates.ENU else POSITION
-    assert (found.kind, found.skipped, row.status) == (kind, 0, 1)
-    assert abs(row.time - Solution.time) < 1e-3
-    assert row.vector_m == pytest.approx(vector, abs=2e-4)
-    assert row.cov_enu_m2 == pytest.approx(turn @ Solution.position_cov_ecef_m2 @ turn.T, abs=4e-6)
+    assert abs(row.time - GpsTime(2232, 400_000.25)) < 1e-6
+    assert row.vector_m == pytest.approx(ecef_from_geodetic(np.radians(40.5), np.radians(-0.25), 55.0), abs=1e-6)
+    assert row.cov_enu_m2 == pytest.approx(np.array([[1e-4, -2.5e-5, 0.0], [-2.5e-5, 4e-4, 0.0], [0.0, 0.0, 9e-4]]))
+
+
+def test_ecef_and_baselines_are_read():
+    x, y, z = POSITION
+    (row,) = read_pos(["%  GPST  x-ecef(m) y-ecef(m) z-ecef(m) Q", f"2232 1.0 {x} {y} {z} 2 9 0.01 0.01 0.01 0 0 0 0 5"]).rows
+    assert (row.status, row.vector_m.tolist()) == (2, [x, y, z])
+    assert row.cov_enu_m2 == pytest.approx(1e-4 * np.eye(3))
+    found = read_pos(["%  GPST  e-baseline(m) n-baseline(m) u-baseline(m) Q", "2232 1.0 1 2 3 1 9 0.01 0.02 0.03 0 0 0.01 0 5"])
+    assert (found.kind, found.rows[0].vector_m.tolist()) == (Coordinates.ENU, [1.0, 2.0, 3.0])
+    assert found.rows[0].cov_enu_m2[0, 2] == pytest.approx(1e-4)
 
 
 @given(st.lists(st.text(alphabet="0123456789-+./: %eEnaifx", max_size=120), max_size=6))

@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 from rtkmesh.attitude.rotation import NED_FROM_ENU, rotation_of_angles
-from rtkmesh.codecs.pos import Coordinates, PosFormat, pos_header, pos_line
-from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef_at
-from rtkmesh.gnss.time import GpsTime
+from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef_at, geodetic_from_ecef
 from rtkmesh_schemas.keys import SOL
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_services.cli.antenna_layouts import read_layouts
@@ -26,16 +24,17 @@ SIGMA_M = 0.003
 START = ecef_from_geodetic(0.7, -0.006, 55.0)
 
 
-class Solution:
-    """What a solver says of one epoch."""
+LLH, ENU = "%  GPST  latitude(deg) longitude(deg)  height(m)   Q  ns\n", "%  GPST  e-baseline(m)  n-baseline(m)  u-baseline(m)   Q  ns\n"
 
-    status, satellites_used, age_s, ratio = 1, 9, 0.0, 5.0
-    velocity_ecef_mps, velocity_cov_ecef_m2ps2 = np.zeros(3), np.eye(3)
 
-    def __init__(self, second: int, position: np.ndarray, baseline: np.ndarray, status: int = 1) -> None:
-        self.time, self.status = GpsTime(2232, 1000.0 + second), status
-        self.position_ecef_m, self.baseline_ecef_m, self.base_ecef_m = position, baseline, position - baseline
-        self.position_cov_ecef_m2, self.baseline_cov_ecef_m2 = SIGMA_M**2 * np.eye(3), 2.0 * SIGMA_M**2 * np.eye(3)
+def line(second: int, vector: np.ndarray, status: int, sigma_m: float) -> str:
+    numbers = " ".join(f"{value:.11f}" for value in vector)
+    return f"2232 {1000.0 + second:.3f} {numbers} {status} 9 {sigma_m:.4f} {sigma_m:.4f} {sigma_m:.4f} 0 0 0 0.0 5.0\n"
+
+
+def geodetic(position: np.ndarray) -> np.ndarray:
+    lat, lon, height = geodetic_from_ecef(position).tolist()
+    return np.array([np.degrees(lat), np.degrees(lon), height])
 
 
 @pytest.fixture(scope="module")
@@ -43,16 +42,15 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A vehicle that turns: positions of four antennas, baselines of two, with floats and wrong fixes among them."""
     folder, rng = tmp_path_factory.mktemp("pos"), np.random.default_rng(11)
     turn = enu_from_ecef_at(START).T @ NED_FROM_ENU
-    texts = {name: pos_header(PosFormat(), "test", []) for name in TRUTH}
-    baseline = PosFormat(Coordinates.ENU)
-    texts["rear-front"] = pos_header(baseline, "test", [])
+    texts = dict.fromkeys(TRUTH, LLH)
+    texts["rear-front"] = ENU
     for second in range(120):
         body = rotation_of_angles(0.05 * second, 0.04, -0.02)
         places = {name: START + turn @ (body @ place + rng.normal(0.0, SIGMA_M, 3)) for name, place in TRUTH.items()}
         for name, place in places.items():
             wrong = second % 17 == 3 and name == "mast"
-            texts[name] += pos_line(Solution(second, place + wrong * 0.3, place, 2 if second < 5 else 1), PosFormat())
-        texts["rear-front"] += pos_line(Solution(second, places["front"], places["front"] - places["rear"]), baseline)
+            texts[name] += line(second, geodetic(place + wrong * 0.3), 2 if second < 5 else 1, SIGMA_M)
+        texts["rear-front"] += line(second, enu_from_ecef_at(START) @ (places["front"] - places["rear"]), 1, 1.4 * SIGMA_M)
     for name, text in texts.items():
         (folder / f"{name}.pos").write_text(text)
     return folder

@@ -1,23 +1,32 @@
 """RTKLIB's .pos text, read: llh (degrees or d m s), xyz and enu, calendar or week time, GPST or UTC, any separator.
 
-Source: as ``pos``. A line that is not one of solutions is left out and counted; nothing in a file raises.
+Source: RTKLIB 2.4.2 manual, appendix B.1. A line that is not one of solutions is left out and counted; nothing in a file raises.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from enum import StrEnum
 from math import copysign, isfinite, radians
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.codecs.pos import Coordinates
 from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef_at
 from rtkmesh.gnss.time import GpsTime
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+
+
+class Coordinates(StrEnum):
+    """What the three coordinates are: geodetic, ECEF, or the baseline at the base."""
+
+    LLH = "llh"
+    XYZ = "xyz"
+    ENU = "enu"
+
 
 _KINDS: Final = {"latitude": Coordinates.LLH, "x-ecef": Coordinates.XYZ, "e-baseline": Coordinates.ENU}
 _NORTH_EAST: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

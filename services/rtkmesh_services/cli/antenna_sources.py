@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from rtkmesh.attitude.calibration import Instant
 from rtkmesh.attitude.joint import Vectored, jointly
 from rtkmesh.attitude.rotation import NED_FROM_ENU
-from rtkmesh.codecs.pos import Coordinates
-from rtkmesh.codecs.pos_read import PosRow, read_pos
+from rtkmesh.codecs.pos_read import Coordinates, PosRow, read_pos
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh_schemas.errors import SchemaError
 from rtkmesh_schemas.keys import SOL
