@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.attitude.calibration import Instant
-from rtkmesh.attitude.joint import Vectored, jointly
 from rtkmesh.attitude.rotation import NED_FROM_ENU
+from rtkmesh.attitude.vectored import Vectored, jointly
 from rtkmesh.codecs.pos_read import Coordinates, PosRow, read_pos
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh_schemas.errors import SchemaError

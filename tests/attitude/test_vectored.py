@@ -5,9 +5,9 @@ from math import acos, degrees, sqrt
 import numpy as np
 import pytest
 
-from rtkmesh.attitude.joint import Vectored, jointly
 from rtkmesh.attitude.presets import BEST_APEX_RAD, PRESETS, preset
 from rtkmesh.attitude.rigid_body import Shape
+from rtkmesh.attitude.vectored import Vectored, jointly
 from rtkmesh.errors import OptionError
 
 COV = np.diag([4.0, 4.0, 9.0]) * 1e-6
