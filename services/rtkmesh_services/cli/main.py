@@ -36,6 +36,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "conf": ("rtkmesh_services.cli.conf:app", "Import, export, show and compare configurations, RTKLIB's .conf files among them."),
     "receiver": ("rtkmesh_services.cli.receiver:app", "Set up a receiver by a recipe, and read back what it says."),
     "ports": ("rtkmesh_services.cli.ports:app", "Show the serial ports, and who is behind them."),
+    "antennas": ("rtkmesh_services.cli.antennas:app", "Calibrate the antennas of a vehicle, and design a layout of them."),
     "base": ("rtkmesh_services.cli.base:app", "Show, save and forget the positions of base stations of this host."),
     "preset": ("rtkmesh_services.cli.preset:app", "List, select, make and score the base stations of a running network."),
     "ntrip": ("rtkmesh_services.cli.ntrip:app", "Ask a caster: which mount points it has, and which is nearest."),
