@@ -17,27 +17,30 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Stack = NDArray[np.float64]  # (k, a, b)
 
-_STEPS: Final = 12
+_STEPS: Final = 8
 _CONVERGED_RAD: Final = 1e-7
+_ENOUGH: Final = 1e-5  # of the chi-square: a step that gives less is the last
 _PARALLEL: Final = 0.02  # sine of an angle between baselines that gives no rotation about them
 _UNSEEN: Final = 1e-9  # weight that keeps a rotation which nothing measures in its place
 
 
 @kernel
 def search_combinations(
-    values_m: Stack, norms: Matrix, sizes: Indices, body_m: Matrix, weights: Stack, spread_m2: Vector, predicted: Matrix,
-    predicted_weight: Matrix, tilt_rad: float, two: Indices, costs: Vector,
+    values_m: Stack, norms: Matrix, sizes: Indices, body_m: Matrix, weights: Stack, own_weights: Stack, spread_m2: Matrix,
+    predicted: Matrix, predicted_weight: Matrix, tilt_rad: float, two: Indices, costs: Vector,
 ) -> int:  # fmt: skip
     """Write the two combinations of least cost (2, k) and their costs (infinite: none); return how many fits that took.
 
     ``values_m`` (k, m, 3) and ``norms`` (k, m) are the first ``sizes`` candidates of each of k baselines (NED), sorted by norm; ``body_m``
-    (k, 3) the baselines in the body; ``weights`` (k, 3k, 3k) the inverse joint covariance of the first 1, 2, .. k of them; ``spread_m2``
-    (k) the trace of the covariance of each. ``predicted`` is where the rotation is expected, with its weight (3, 3; 0: no knowledge);
-    ``tilt_rad`` by how much the body's down axis may be off the vertical.
+    (k, 3) the baselines in the body; ``weights`` (k, 3k, 3k) the inverse joint covariance of the first 1, 2, .. k of them,
+    ``own_weights`` (k, 3, 3) that of each by itself; ``spread_m2`` (k, k) the largest variance of a component of each (diagonal) and of
+    differences of two. ``predicted`` is where the rotation is expected, with its weight (3, 3; 0: no knowledge); ``tilt_rad`` by how
+    much the body's down axis may be off the vertical.
     """
     k, fits, depth = len(body_m), 0, 0
-    chosen, place, sums, rest = np.empty((k, 3)), np.full(k, -1), np.zeros(k + 1), np.zeros(k + 1)
-    rotation = np.empty((3, 3))
+    chosen, place, rotation = np.empty((k, 3)), np.full(k, -1), np.empty((3, 3))
+    sums, rest, worst = np.zeros(k + 1), np.zeros(k + 1), np.zeros(k + 1)
+    alone = _each_alone(values_m, sizes, body_m, own_weights, predicted, predicted_weight, tilt_rad)
     for j in range(k - 1, -1, -1):
         rest[j] = rest[j + 1] + norms[j, 0]
     costs[:] = np.inf
@@ -46,25 +49,40 @@ def search_combinations(
         if place[depth] >= sizes[depth]:
             depth -= 1
             continue
-        total = sums[depth] + norms[depth, place[depth]]
-        if total + rest[depth + 1] >= costs[1]:
-            depth -= 1
+        total, least = sums[depth] + norms[depth, place[depth]], max(worst[depth], alone[depth, place[depth]])
+        if total + rest[depth + 1] + least >= costs[1]:
             continue
         chosen[depth] = values_m[depth, place[depth]]
         if total + rest[depth + 1] + _least_misfit(chosen, body_m, spread_m2, depth) >= costs[1]:
             continue
-        if _climb(chosen[depth], body_m[depth]) > tilt_rad:
-            continue
-        chi = fit_rotation(chosen, body_m, weights[depth], predicted, predicted_weight, depth + 1, rotation)
-        fits += 1
-        if total + rest[depth + 1] + chi >= costs[1]:
+        if depth > 0 or k == 1:
+            least = fit_rotation(chosen, body_m, weights[depth], predicted, predicted_weight, depth + 1, rotation)
+            fits += 1
+        if total + rest[depth + 1] + least >= costs[1]:
             continue
         if depth + 1 < k:
             depth += 1
-            sums[depth], place[depth] = total, -1
+            sums[depth], worst[depth], place[depth] = total, least, -1
         elif rotation[2, 2] >= cos(tilt_rad) or _straight(body_m):
-            _take(total + chi, place, two, costs)
+            _take(total + least, place, two, costs)
     return fits
+
+
+@kernel
+def _each_alone(
+    values_m: Stack, sizes: Indices, body_m: Matrix, own_weights: Stack, predicted: Matrix, predicted_weight: Matrix, tilt_rad: float
+) -> Matrix:
+    """Return the chi-square (k, m) of each candidate by itself: of its length, and of its direction where that is expected; infinite for
+    one that climbs too steeply.
+    """
+    k = len(body_m)
+    alone, rotation = np.full((k, values_m.shape[1]), np.inf), np.empty((3, 3))
+    for j in range(k):
+        for c in range(sizes[j]):
+            if _climb(values_m[j, c], body_m[j]) <= tilt_rad:
+                one, its_body = values_m[j, c : c + 1], body_m[j : j + 1]
+                alone[j, c] = fit_rotation(one, its_body, own_weights[j], predicted, predicted_weight, 1, rotation)
+    return alone
 
 
 @kernel
@@ -79,15 +97,15 @@ def _take(cost: float, place: Indices, two: Indices, costs: Vector) -> None:
 
 
 @kernel
-def _least_misfit(chosen: Matrix, body_m: Matrix, spread_m2: Vector, last: int) -> float:
-    """Return a lower bound of the chi-square by the length of the last baseline and its distances to those before: no rotation is needed.
+def _least_misfit(chosen: Matrix, body_m: Matrix, spread_m2: Matrix, last: int) -> float:
+    """Return a lower bound of the chi-square by the distances of the last baseline's end to those before: no rotation is needed.
 
-    The variance of a length is at most the trace of the vector's covariance; that of a difference at most twice both traces.
+    The variance of a length is at most the largest one of the vector's components.
     """
-    worst = (_length(chosen[last]) - _length(body_m[last])) ** 2 / spread_m2[last]
+    worst = 0.0
     for j in range(last):
         apart = _length(chosen[last] - chosen[j]) - _length(body_m[last] - body_m[j])
-        worst = max(worst, apart**2 / (2.0 * (spread_m2[last] + spread_m2[j])))
+        worst = max(worst, apart**2 / spread_m2[last, j])
     return worst
 
 
@@ -168,7 +186,7 @@ def fit_rotation(
 ) -> float:
     """Write the rotation (3x3) that takes ``count`` body vectors best to the chosen ones; return the chi-square, with the prediction's.
 
-    Gauss-Newton with halved steps where a step does not lower it: ``rigid_body.fit`` without its covariances.
+    Gauss-Newton, with one shorter step where a step does not lower it: ``rigid_body.fit`` without its covariances.
     """
     _start(chosen, body_m, predicted, count, rotation)
     N, g, trial = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
@@ -186,7 +204,7 @@ def fit_rotation(
             if now > chi:
                 break
         rotation[:, :] = trial
-        done = chi - now < 1e-6 * (1.0 + now)
+        done = chi - now < _ENOUGH * (1.0 + now)
         chi = now
         if done:
             break

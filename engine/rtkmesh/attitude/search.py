@@ -177,13 +177,26 @@ def _searched(layout: Layout, tables: Sequence[Candidates], rows: Sequence[Indic
     weights = np.zeros((k, 3 * k, 3 * k))
     for j in range(1, k + 1):
         weights[j - 1, : 3 * j, : 3 * j] = np.linalg.inv(cov[: 3 * j, : 3 * j])
-    spread = np.add.reduceat(np.diag(cov), np.arange(0, 3 * k, 3))
+    own = np.zeros((k, 3, 3))
+    own[:] = [np.linalg.inv(cov[3 * j : 3 * j + 3, 3 * j : 3 * j + 3]) for j in range(k)]
+    spread = _largest_variances(cov)
     predicted = np.eye(3) if expected.ned_from_body is None else expected.ned_from_body
     known: Matrix = np.zeros((3, 3)) if expected.cov_rad2 is None else np.linalg.inv(expected.cov_rad2).astype(np.float64)
     two, costs = np.zeros((2, k), np.int64), np.full(2, inf)
     sizes = np.array([len(row) for row in rows])
-    search_combinations(values, norms, sizes, body, weights, spread, np.ascontiguousarray(predicted), known, expected.tilt_rad, two, costs)
+    start = np.ascontiguousarray(predicted)
+    search_combinations(values, norms, sizes, body, weights, own, spread, start, known, expected.tilt_rad, two, costs)
     return two, costs
+
+
+def _largest_variances(cov_m2: Matrix) -> Matrix:
+    """Return the largest variance of a component of each of k vectors (diagonal) and of the differences of two (k, k)."""
+    k = len(cov_m2) // 3
+    blocks = cov_m2.reshape(k, 3, k, 3).swapaxes(1, 2)
+    own = blocks[np.arange(k), np.arange(k)]
+    apart = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
+    apart[np.arange(k), np.arange(k)] = own
+    return np.ascontiguousarray(np.linalg.eigvalsh(0.5 * (apart + apart.swapaxes(2, 3)))[..., -1], np.float64)
 
 
 def _correlation(tables: Sequence[Candidates], shared: float) -> Matrix:
