@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hypothesis import HealthCheck, settings
 from rtkmesh_services.runtime.kernel_cache import use_kernel_cache
 
 use_kernel_cache()
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell that starts us in the background ignores it for all below it
 STATE = tempfile.TemporaryDirectory(prefix="rtkmesh-state-")
 os.environ["RTKMESH_STATE"] = STATE.name  # no test touches what this host keeps
 settings.register_profile("tests", deadline=None)

@@ -16,7 +16,7 @@ class RuleTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ``rtk/*/status``: then every key that matches is watched for itself. ``when``: ``FIELD > 0.5`` (also >= < <= == !=; ``a.b.0``
     goes into maps and lists, ``value`` is a message that is one number or text), or ``silent``: no message for ``delay_s``. A limit
     that was crossed counts as crossed until the value has come back by ``hysteresis``. ``delay_s``: how long it must hold before
-    the rule begins, ``end_delay_s``: before it ends. ``do`` and ``at_end`` are commands, ``OP ID [name=value ...]``, where ID may
+    the rule begins, ``end_delay_s``: before it ends. ``do`` and ``at_end`` are commands, ``OP ID [ARGUMENTS]``, where ID may
     have ``*`` and ``{id}`` is the process that the key belongs to; or ``event LEVEL TEXT``.
     """
 

@@ -105,8 +105,9 @@ def test_our_reader_gets_everything_back(epochs: list[Epoch], version: float):
 @settings(max_examples=5, deadline=None, phases=NO_SHRINK)
 @given(epochs=files())
 def test_hatanaka_gets_the_same_text_back(epochs: list[Epoch]):
+    """But for numbers between 0 and -1, which its programs write without the zero."""
     text = written(epochs)
-    assert hatanaka.decompress(hatanaka.rnx2crx(text)) == text
+    assert hatanaka.decompress(hatanaka.rnx2crx(text)).replace(b" -.", b"-0.") == text
 
 
 def test_the_header_says_what_is_known():

@@ -2,13 +2,14 @@
 the public API alone.
 """
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from math import radians
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.rtk.bits import same_bits
 
 from rtkmesh.gnss.epoch import COLUMNS, Epoch, make_epoch
 from rtkmesh.gnss.time import GpsTime
@@ -16,7 +17,7 @@ from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
 from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
-from rtkmesh.rtk.solution import SatelliteTable, Solution, Status
+from rtkmesh.rtk.solution import Solution, Status
 from rtkmesh.simulation.classes import F9P, SURVEY
 from rtkmesh.simulation.receiver import Receiver
 from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, broadcast
@@ -73,21 +74,6 @@ def plain(scene: Scene) -> list[Solution]:
 
 def positions(solutions: list[Solution]) -> np.ndarray:
     return np.array([s.position_ecef_m for s in solutions])
-
-
-def same_bits(first: object, second: object) -> bool:
-    """Return whether two solutions are equal in every field to the last bit, satellite tables included."""
-    for field in fields(first):  # type: ignore[arg-type]
-        a, b = getattr(first, field.name), getattr(second, field.name)
-        if isinstance(a, SatelliteTable):
-            if not same_bits(a, b):
-                return False
-        elif isinstance(a, np.ndarray):
-            if a.tobytes() != b.tobytes():
-                return False
-        elif not (a == b or (a != a and b != b)):
-            return False
-    return True
 
 
 def shuffled(epoch: Epoch, rng: np.random.Generator) -> Epoch:

@@ -23,6 +23,7 @@ from rtkmesh_services.runtime.zenoh_bus import ZenohBus, open_bus
 
 if TYPE_CHECKING:
     from tests.services.flockwave_world import SkybrushClient, World
+    from tests.services.told_solver import Solver
 
 UNDER_TEST = Path(__file__).parent / "process_under_test.py"
 
@@ -152,6 +153,18 @@ def site(tmp_path: Path, hub_port: int) -> Iterator[Fleet]:
     fleet = Fleet(tmp_path, port=hub_port)
     yield fleet
     fleet.kill()
+
+
+@pytest.fixture
+def solver(site: Fleet) -> Iterator["Solver"]:
+    """A solver that answers with RTKRCV's texts, and is on the network."""
+    from tests.services.told_solver import Solver
+
+    made = Solver(site)
+    with site.bus("waiter") as bus:
+        site.until(lambda: "rtk" in bus.live())
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="session")

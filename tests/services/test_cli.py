@@ -14,6 +14,7 @@ from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_schemas.observation import Observation
 from rtkmesh_schemas.wire import encode, encoding_of
 from rtkmesh_services.cli.check import check
+from rtkmesh_services.cli.cmd import show_reply
 from rtkmesh_services.cli.echo import full_expression, line_of, page_of
 from rtkmesh_services.cli.main import COMMANDS
 from rtkmesh_services.cli.network import EXIT_FAILED, EXIT_REFUSED, EXIT_TIMEOUT, EXIT_UNREACHABLE, EXIT_USAGE, exit_code
@@ -265,3 +266,11 @@ def test_the_farewell_of_up_has_a_part_for_each_thing_it_knows(capsys: pytest.Ca
     foreground = Foreground(load_site(file, None, ""), LaunchOptions(file), reason="it is enough", seconds=1.25)
     foreground.report()
     assert capsys.readouterr().err == "ended after 1.2 s (it is enough); 0 restarts\n"
+
+
+def test_a_screen_is_shown_as_rtkrcv_does_and_other_answers_with_their_data() -> None:
+    said: list[str] = []
+    reply = Reply(ok=True, code=Code.OK, message="1 satellites", data={"satellite": ["G01"]}, id="rtk", text="SAT C1\nG01 OK\x07\n")
+    show_reply(reply, said.append, as_screen=True)
+    show_reply(reply, said.append)
+    assert said == ["rtk: 1 satellites\nSAT C1\nG01 OK\ufffd\n", "rtk: 1 satellites\n  satellite:\n    G01\n"]

@@ -143,7 +143,7 @@ def test_no_message_breaks_a_rule(payload: bytes, encoding: str):
         ('when = "d > 1"\ndo = ["stop"]', 4, "write OP ID"),
         ('when = "d > 1"\ndo = ["stop auv-*"]', 4, "write OP ID"),
         ('when = "d > 1"\ndo = ["event warn dived"]', 4, "did you mean 'warning'"),
-        ('when = "d > 1"\ndo = ["stop a b"]', 4, "'b' is no argument"),
+        ('when = "d > 1"\ndo = ["stop a b c"]', 4, "'c' is no argument"),
         ('when = "d == 1"\nhysteresis = 1', 4, "only > >= < <= have one"),
         ('when = "silent"\nhysteresis = 1\n', 4, "silence has none"),
         ('when = "d > 1"\ndelay = 1', 4, "did you mean 'delay_s'"),

@@ -75,15 +75,6 @@ class Consoles:
 
 
 @pytest.fixture
-def solver(site: Any) -> Iterator[Solver]:
-    solver = Solver(site)
-    with site.bus("waiter") as bus:
-        site.until(lambda: "rtk" in bus.live())
-    yield solver
-    solver.close()
-
-
-@pytest.fixture
 def consoles(site: Any, free_port: Callable[[], int]) -> Iterator[Consoles]:
     consoles = Consoles(site, free_port)
     yield consoles

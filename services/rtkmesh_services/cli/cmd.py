@@ -10,7 +10,8 @@ from cyclopts import Parameter
 from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_services.cli.network import DEFAULT_ENDPOINT, EXIT_USAGE, Connect, Json, Namespace, exit_code, reach
 from rtkmesh_services.cli.page import command_page
-from rtkmesh_services.runtime.console_words import WordError, arguments
+from rtkmesh_services.runtime.console_words import SCREENS, WordError, arguments
+from rtkmesh_services.runtime.logs import clean
 
 _EXAMPLES = """
 rtkmesh cmd rtk stop
@@ -52,7 +53,7 @@ def cmd(
         _print_json(id, replies)
     else:
         for reply in replies:
-            show_reply(reply, sys.stdout.write if reply.ok else sys.stderr.write)
+            show_reply(reply, sys.stdout.write if reply.ok else sys.stderr.write, as_screen=op in SCREENS)
     return exit_code(replies)
 
 
@@ -62,14 +63,16 @@ def _print_json(id: str, replies: list[Reply]) -> None:  # noqa: A002
     sys.stdout.write(encode_json(replies if id == "*" or len(replies) != 1 else replies[0]).decode() + "\n")
 
 
-def show_reply(reply: Reply, write: Callable[[str], Any]) -> None:
-    """Write a reply for people: who, the message, the state, and the data below it."""
+def show_reply(reply: Reply, write: Callable[[str], Any], *, as_screen: bool = False) -> None:
+    """Write a reply for people: who, the message, the state, and the data below it (``as_screen``: RTKRCV's text if there is one)."""
     head = f"{reply.id}: " if reply.id else ""
     verdict = "" if reply.code is Code.OK else f"{reply.code.value}: "
     state = f" [{reply.state}]" if reply.state else ""
     lines = [f"{head}{verdict}{reply.message}{state}"]
-    for name, value in reply.data.items():
-        lines += _lines(name, value, 1)
+    if as_screen and reply.text:
+        lines += [clean(line) for line in reply.text.removesuffix("\n").split("\n")]
+    else:
+        lines += [line for name, value in reply.data.items() for line in _lines(name, value, 1)]
     write("".join(f"{line}\n" for line in lines))
 
 

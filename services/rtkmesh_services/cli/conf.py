@@ -183,7 +183,7 @@ def _side(setting: "Setting | None") -> str:
 
 
 def _plain(value: Any) -> str:
-    from rtkmesh_services.conf.toml_text import toml_value
+    from rtkmesh_services.runtime.toml_text import toml_value
 
     return "nothing" if value is None else toml_value(value)
 

@@ -3,7 +3,11 @@
 import os
 import re
 import select
+import signal
 import sys
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -69,7 +73,7 @@ def run_terminal(shell: Any) -> None:
     """Prompt for lines until ``exit`` or Ctrl-D; Ctrl-C drops a line or ends a cycle."""
     editor = Editor(shell)
     shell.ansi = sys.stdout.isatty()
-    shell.wait = wait_for_enter
+    shell.pauses = pauses
     shell.write = shell.complain = editor.write
     shell.begin()
     try:
@@ -85,12 +89,31 @@ def run_terminal(shell: Any) -> None:
         editor.keep()
 
 
-def wait_for_enter(seconds: float) -> bool:
-    """Wait; True as soon as a line is typed."""
-    if not select.select([sys.stdin], [], [], seconds)[0]:
-        return False
-    os.read(sys.stdin.fileno(), MAXIMUM_LINE)
-    return True
+@contextmanager
+def pauses() -> Generator[Callable[[float], bool]]:
+    """Give a wait that a typed line or Ctrl-C ends. Ctrl-C leaves a note: an exception in the midst of anything could be lost."""
+    reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def note(number: int, frame: Any) -> None:  # noqa: ARG001  the form of a handler
+        os.write(writer, b"\x03")
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield partial(wait_for_end, reader)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        os.close(reader)
+        os.close(writer)
+
+
+def wait_for_end(noted: int, seconds: float) -> bool:
+    """Wait; True as soon as a line is typed, or Ctrl-C was noted."""
+    ready = select.select([sys.stdin, noted], [], [], seconds)[0]
+    if noted in ready:
+        sys.stdout.write("\n")
+    elif ready:
+        os.read(sys.stdin.fileno(), MAXIMUM_LINE)
+    return bool(ready)
 
 
 class Editor:

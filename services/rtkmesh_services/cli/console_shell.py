@@ -6,7 +6,8 @@ Own words: use, processes, events, help, exit. Everything else goes to the proce
 import shlex
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -33,21 +34,27 @@ OWN_WORDS: Final[Mapping[str, str]] = {
 CLEAR: Final = "\x1b[H\x1b[2J"
 
 
-def wait_for_nothing(seconds: float) -> bool:  # noqa: ARG001  the form of a wait
+Wait = Callable[[float], bool]
+
+
+@contextmanager
+def one_screen() -> Generator[Wait]:
     """End a cycle after its first screen: a script has nobody who could end it."""
-    return True
+    yield lambda _: True
 
 
 @dataclass(slots=True)
 class Shell:
-    """A console without its terminal. ``wait`` sleeps within a cycle and returns True when it is to end; ``worst`` is the exit code."""
+    """A console without its terminal. ``pauses`` gives what sleeps within a cycle and returns True when it is to end; ``worst`` is the exit
+    code.
+    """
 
     bus: Bus
     id: str = ""
     as_json: bool = False
     ansi: bool = False
     timeout_s: float = 2.0
-    wait: Callable[[float], bool] = wait_for_nothing
+    pauses: Callable[[], AbstractContextManager[Wait]] = one_screen
     write: Callable[[str], Any] = sys.stdout.write
     complain: Callable[[str], Any] = sys.stderr.write
     ended: bool = False
@@ -163,16 +170,14 @@ class Shell:
 
     def _cycle(self, typed: Typed) -> None:
         """Show a screen again and again; Ctrl-C ends this and not the console."""
-        try:
+        with self.pauses() as wait:
             while True:
                 reply = self.ask(typed.op, typed.args)
                 if self.ansi:
                     self.write(CLEAR)
                 self._show(reply)
-                if not reply.ok or self.wait(typed.cycle_s):
+                if not reply.ok or wait(typed.cycle_s):
                     return
-        except KeyboardInterrupt:
-            self.write("\n")
 
     def _show(self, reply: Reply) -> None:
         self.worst = max(self.worst, exit_code([reply]))

@@ -16,8 +16,8 @@ from rtkmesh_services.conf.parser import Said
 from rtkmesh_services.conf.places import Vector
 from rtkmesh_services.conf.report import Became, Draft, Path, ReportRow
 from rtkmesh_services.conf.rows import Fate
-from rtkmesh_services.conf.toml_text import toml_text
 from rtkmesh_services.errors import ConfError
+from rtkmesh_services.runtime.toml_text import toml_text
 
 DEFAULT_ID: Final = "rtk"
 _STREAMS: Final = ("inpstr1-type", "inpstr2-type", "inpstr3-type", "outstr1-type", "outstr2-type", "inpstr1-path", "inpstr2-path")

@@ -37,6 +37,7 @@ RTKRCV_WORDS: Final[Mapping[str, str]] = {
     "shutdown": "shutdown rtk server",
 }
 CYCLED: Final = frozenset({"solution", "status", "satellite", "observ", "navidata", "stream"})
+SCREENS: Final = (CYCLED | {"option", "error"}) - {"status"}  # whose text says it better than the data, which status's does not
 _FLAGGED: Final = frozenset({"satellite", "observ", "navidata"})  # -2: two frequencies; of navidata only RTKRCV's own paging
 IN_FULL: Final = frozenset({"shutdown"})  # no abbreviation does this
 SHORTEST_CYCLE_S: Final = 0.1

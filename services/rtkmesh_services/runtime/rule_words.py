@@ -11,6 +11,7 @@ import msgspec
 
 from rtkmesh_schemas.config_rules import RuleTable
 from rtkmesh_schemas.status import Level
+from rtkmesh_services.runtime.console_words import WordError, arguments
 from rtkmesh_services.runtime.words import clip, nearest
 
 SILENT: Final = "silent"
@@ -139,15 +140,10 @@ def _action(field: str, text: str) -> Action:
         return Action(operation, target, {}, words.strip())
     if not _OPERATION.fullmatch(operation) or not _TARGET.fullmatch(target):
         raise RuleError(field, f"{clip(text)!r} is no command: write OP ID [name=value ...], as in 'stop auv_*'")
-    return Action(operation, target, _arguments(field, words.split()), text.strip())
-
-
-def _arguments(field: str, words: Sequence[str]) -> dict[str, Any]:
-    pairs = [word.partition("=") for word in words]
-    for name, sign, _ in pairs:
-        if not sign or not name.isidentifier():
-            raise RuleError(field, f"{clip(name)!r} is no argument: write name=value")
-    return {name: _value(value) for name, _, value in pairs}
+    try:
+        return Action(operation, target, arguments(operation, tuple(words.split())), text.strip())
+    except WordError as error:
+        raise RuleError(field, str(error)) from error
 
 
 def _value(word: str) -> float | str | bool:

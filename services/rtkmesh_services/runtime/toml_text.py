@@ -1,10 +1,18 @@
-"""Tables of the deployment file back to TOML: what differs from the defaults, in the order of the fields."""
+"""Tables as TOML text: plain values first, then the tables below. Of the deployment file's tables what differs from the defaults."""
 
 import json
-from collections.abc import Iterator
-from typing import Any
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
 import msgspec
+
+_BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def toml_text(tables: Mapping[str, Any]) -> str:
+    """Return the TOML text of nested tables."""
+    return "\n".join(_nested(tables, ())).strip("\n") + "\n"
 
 
 def toml_table(name: str, table: msgspec.Struct) -> str:
@@ -22,6 +30,24 @@ def toml_value(value: Any) -> str:
         text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
         return text.encode().decode()
     return repr(value)
+
+
+def _nested(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
+    plain = {name: value for name, value in table.items() if not _is_table(value)}
+    lines = ["", f"[{'.'.join(map(_key, path))}]"] if path and (plain or not table) else []
+    lines += [f"{_key(name)} = {toml_value(value)}" for name, value in plain.items()]
+    for name, value in table.items():
+        if _is_table(value):
+            lines += _nested(value, (*path, name))
+    return lines
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else json.dumps(name)
 
 
 def _tables(name: str, table: msgspec.Struct) -> Iterator[str]:
