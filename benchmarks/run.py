@@ -52,6 +52,7 @@ BENCHMARKS = (
     Benchmark("dive", "dive.py", "After dives, RTKLIB on the same bytes", ("--quick",), recordings=False),
     Benchmark("directions", "directions.py", "Forward, backward and combined, beside RTKLIB's", ("--quick",)),
     Benchmark("heading", "heading.py", "How a heading repeats, beside RTKLIB's", ("--quick",)),
+    Benchmark("attitude_search", "attitude_search.py", "Attitude from single epochs with known geometry", ("--quick",), recordings=False),
     Benchmark("sigmas", "sigmas.py", "Covariances against errors", ("--quick",)),
     Benchmark("slips", "slips.py", "Cycle slips: found, missed, and what these do", ("--quick",), recordings=False),
     Benchmark("integrity", "integrity.py", "Fix probabilities and protection levels against errors", ("--quick",)),
