@@ -21,7 +21,7 @@ class AntennaPlaceTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=
     """
 
     position_m: Place
-    sigma_m: float | tuple[float, float, float] = 0.0  # bounds are checked by the shell: msgspec 0.20 mixes those of a union up
+    sigma_m: float | tuple[float, float, float] = 0.0  # bounds are checked by the shell: msgspec 0.22 mixes those of a union up
 
     @property
     def sigmas_m(self) -> Place:

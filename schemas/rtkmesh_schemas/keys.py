@@ -98,6 +98,7 @@ STREAMS: Final = (
     Stream("sol", "rtk/{id}/sol", Kind.PUBLISH, (Role.SOLVER,), "SolutionMessage", "solution: time, status, position, velocity, baseline, covariances, ages, ratio, grade", None, Priority.REAL_TIME),
     Stream("sol_text", "rtk/{id}/sol/{format}", Kind.PUBLISH, (Role.SOLVER,), "", "RTKRCV's formats as text: llh xyz enu vel_enu nmea stat; only when matched"),
     Stream("sat", "rtk/{id}/sat", Kind.PUBLISH, (Role.SOLVER,), "SatellitesMessage", "per satellite and signal: residuals, slips, lock, ambiguity, C/N0, azimuth, elevation", 1.0),
+    Stream("candidates", "rtk/{id}/candidates", Kind.PUBLISH, (Role.SOLVER,), "CandidatesMessage", "the best integer vectors of a moving base's epoch, with the baseline under each; only when matched", None, Priority.REAL_TIME),
     Stream("text", "rtk/{id}/text", Kind.PUBLISH, (Role.OUTPUT,), "", "an output's text as its table wants it (target zenoh://), an epoch a message; attachment: the header"),
     Stream("screen", "rtk/{id}/screen/{word}", Kind.PUBLISH, (Role.SOLVER,), "", "what RTKRCV's console shows, as text: status satellite observ navidata stream at 1 Hz, solution per epoch, error when it occurs; only when matched"),
     Stream("att", "rtk/{id}/att", Kind.PUBLISH, (Role.ATTITUDE,), "AttitudeMessage", "heading, pitch, roll, covariance, integrity, antennas used", None, Priority.REAL_TIME),
@@ -121,7 +122,7 @@ CMD, RAW, MADE, OBS, EPH, IONO, REF, END, CREDIT, WRITE = (
 SOL, SOL_TEXT, SAT, SCREEN, TEXT, ATT, STATUS, EVENT, LOG = (
     BY_NAME[n] for n in ("sol", "sol_text", "sat", "screen", "text", "att", "status", "event", "log")
 )
-ATT_FILTERED, ATT_NMEA, HEADING = (BY_NAME[n] for n in ("att_filtered", "att_nmea", "heading"))
+ATT_FILTERED, ATT_NMEA, HEADING, CANDIDATES = (BY_NAME[n] for n in ("att_filtered", "att_nmea", "heading", "candidates"))
 METRICS, LATEST, PRESET, FLOCKWAVE, LIVE = (BY_NAME[n] for n in ("metrics", "latest", "preset", "flockwave", "live"))
 
 STALE_PERIODS: Final = 10.0  # a stream with a nominal rate is stale after this many missing periods

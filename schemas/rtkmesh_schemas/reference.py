@@ -7,6 +7,7 @@ import msgspec
 from rtkmesh_schemas import flockwave
 from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
 from rtkmesh_schemas.base import BasePosition, SurveyStatus
+from rtkmesh_schemas.candidates import CandidatesMessage
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.keys import STREAMS, Kind, Role, Stream
@@ -21,6 +22,7 @@ MESSAGES: Final[dict[str, type[Wire]]] = {
     for type_ in (
         AttitudeMessage,
         BasePosition,
+        CandidatesMessage,
         Credit,
         EndOfStream,
         EphemerisMessage,

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rtkmesh.rtk.ambiguity import add_constraints, choose_references, compare_integers, condition, difference, log_odds
+from rtkmesh.models.odds import log_odds
+from rtkmesh.rtk.ambiguity import add_constraints, choose_references, compare_integers, condition, difference
 from rtkmesh.rtk.filter import OK, posterior
 from rtkmesh.rtk.memory import confidence
 

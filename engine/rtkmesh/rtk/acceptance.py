@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS
+from rtkmesh.models.odds import NORM_LIMIT
 from rtkmesh.rtk.ambiguity import Candidates, Search, compare_integers, search, take
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -15,7 +16,6 @@ from rtkmesh.rtk.memory import (
     CONFIRMED,
     DOUBTS,
     HELD_SINCE_S,
-    NORM_LIMIT,
     SHOWN,
     SLOPE_CHANGE_M,
     STREAK_EPOCHS,

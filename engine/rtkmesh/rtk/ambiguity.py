@@ -4,13 +4,14 @@ Double differences are formed here and nowhere else, within one clock group each
 not matter to any result.
 """
 
-from math import isfinite, log, sqrt
+from math import isfinite, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.filter import factor, posterior
 from rtkmesh.rtk.lambda_search import OK, bootstrap_success, integer_least_squares
 from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
@@ -21,7 +22,6 @@ Indices = NDArray[np.int64]
 
 NODE_LIMIT: Final = 50_000  # some 5 ms; a search that needs more has no clear winner
 CONSTRAINED_CANDIDATES: Final = 40  # how many candidates a known length chooses from
-PRIOR_DOF: Final = 4.0  # how well the variance level is known before the norms are seen: see log_odds
 
 
 class Candidates(NamedTuple):
@@ -50,18 +50,6 @@ class Search(NamedTuple):
     success: float
     odds: float
     resolved: bool
-
-
-@kernel
-def log_odds(best: float, other: float, count: int) -> float:
-    """Return the natural logarithm of the odds of the best integer vector (squared norm ``best``) against another.
-
-    Float ambiguities that are normal around the truth with a covariance known up to a factor, the factor inverse chi-square with
-    PRIOR_DOF degrees of freedom around 1, are Student-t (Zellner 1971, B.2.4): p ~ (PRIOR_DOF + norm)^-((PRIOR_DOF + n) / 2). For few
-    ambiguities this asks for a large ratio of the norms, for many for a small one, and a norm that is too large for its count costs
-    confidence.
-    """
-    return 0.5 * (PRIOR_DOF + count) * log((PRIOR_DOF + other) / (PRIOR_DOF + best))
 
 
 @kernel

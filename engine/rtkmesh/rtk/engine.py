@@ -20,13 +20,15 @@ from rtkmesh.gnss.epoch import Epoch, Signals
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
+from rtkmesh.models.odds import SURENESS
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed
+from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.informed import INFORMED_FROM_M
-from rtkmesh.rtk.integrity import SURENESS, sureness
+from rtkmesh.rtk.integrity import sureness
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, forget, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
@@ -35,7 +37,7 @@ from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Solved, 
 from rtkmesh.rtk.report import IS_FIXED, ODDS, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.setup import setup_of
-from rtkmesh.rtk.solution import Reason, Solution
+from rtkmesh.rtk.solution import Reason, SatelliteTable, Solution
 from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, FilterState, length_m, new_filter, trace
 
 Vector = NDArray[np.float64]
@@ -97,6 +99,7 @@ class Rtk:
         self._bases = BaseEpochs()
         self._keeps_baseline = False  # the next base position changes what was known of the base, not the baseline
         self._single: Located | None = None
+        self._satellites: SatelliteTable | None = None  # of the newest epoch, if it has a relative solution
 
     def antennas(self, rover: Antenna | None, base: Antenna | None) -> None:
         """Take the antennas of both ends; None where one is not known, and then neither is corrected: half a correction is worse than none.
@@ -144,6 +147,12 @@ class Rtk:
         """Return what is known of the newest epoch beside its solution; made when asked for."""
         return overview_of(self._state, self._single)
 
+    def candidates(self) -> CandidateTable | None:
+        """Return the best integer vectors of the newest epoch; made when asked for. None where it has no relative solution."""
+        if self._state is None or self._satellites is None or self.options.ambiguity.mode is AmbiguityMode.OFF:
+            return None
+        return candidate_table(self._state.filter, self._satellites, self._past.memory, self._setup)
+
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""
         if self._state is not None:
@@ -175,7 +184,7 @@ class Rtk:
             self._forget()
         if klobuchar is not self._klobuchar:
             self._klobuchar, self._point = klobuchar, self._point_setup(klobuchar)
-        issues, base_single = ephemerides.issues, None
+        issues, base_single, self._satellites = ephemerides.issues, None, None
         single = locate(rover.signals, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
         self._single = single
         if self.options.mode is Mode.SINGLE:
@@ -304,7 +313,9 @@ class Rtk:
             self.reset()
             return replace(from_single(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
-        return report(rover, base, single, state.base_ecef_m, solved, around)
+        solution = report(rover, base, single, state.base_ecef_m, solved, around)
+        self._satellites = solution.satellites
+        return solution
 
     def _solved(
         self, state: FilterState, past: Past, rover: Epoch, bases: list[Epoch], issues: Issues, singles: tuple[Located, Located | None]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh.models.odds import SURENESS
 from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.memory import CONFIRMED, HELD_SINCE_S, INFORMED, UNAGREED
 from rtkmesh.rtk.noise import code_factors, phase_factor
@@ -39,8 +40,6 @@ SATELLITE_FAULT: Final = 1e-3  # prior probability per satellite and epoch of a 
 INFLATION: Final = 2.0  # factor on sigmas: mean squares of normalised errors reach 1.7 (fixes) and 4.5 (floats) on recordings
 FALSE_ALARM_SIGMAS: Final = 3.72  # tests fail sound epochs with 1e-4
 
-# The probability of wrong integers is exp(-odds / c): benchmarks/integrity.py shows how it was calibrated.
-SURENESS: Final = 1.5  # c at the base: log odds are too sure by this
 SURENESS_FAR: Final = 1.5  # what c grows by until FAR_M: what is left of the atmosphere lasts, so later epochs do not unmask it
 FAR_M: Final = 10e3
 WRONG_MOST: Final = 0.3  # with no odds at all: what is held has been believed for some reason

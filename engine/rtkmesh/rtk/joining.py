@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.models.odds import NORM_LIMIT
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, condition, held_differences, held_references, pack_pairs, search_pairs, take
 from rtkmesh.rtk.lambda_search import OK
-from rtkmesh.rtk.memory import NORM_LIMIT, is_held
+from rtkmesh.rtk.memory import is_held
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, INTEGER, Filter
 
 Vector = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """What ambiguity resolution remembers of one filter, and its options, as kernels take them.
 
-Thresholds that several of its steps share are here; they are log odds (see ``ambiguity.log_odds``), so they adapt to the strength of the
+Thresholds that several of its steps share are here; they are log odds (see ``models.odds``), so they adapt to the strength of the
 model.
 """
 
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.rtk.ambiguity import PRIOR_DOF, Candidates
+from rtkmesh.models.odds import PRIOR_DOF
+from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions
 from rtkmesh.rtk.state import INTEGER, Filter
 
@@ -21,7 +22,6 @@ ACCEPT_AT_ONCE: Final = 7.0  # log odds for a fix from one search: of 4400 searc
 ACCEPT_AFTER_STREAK: Final = 5.0  # log odds for a fix from a row of searches with equal results
 STREAK_S: Final = 10.0
 STREAK_EPOCHS_LEAST: Final = 5
-NORM_LIMIT: Final = 8.0  # squared norm per ambiguity that honest float solutions do not exceed
 SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geodesy 86:139-148: up to 25 mm on L1)
 SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 

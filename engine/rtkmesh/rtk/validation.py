@@ -2,7 +2,7 @@
 
 Integers are *held* once they have proven themselves; the filter itself never learns of them (except in fix-and-hold), so it stays an
 independent witness: every epoch the free search and the float solution can speak against what is held. New ambiguities join one by one
-when what is held determines them. All thresholds are log odds (see ``ambiguity.log_odds``), so they adapt to the strength of the model.
+when what is held determines them. All thresholds are log odds (see ``models.odds``), so they adapt to the strength of the model.
 """
 
 from math import exp, isfinite, sqrt
@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
 from rtkmesh.rtk.acceptance import search_all, try_new
 from rtkmesh.rtk.ambiguity import (
-    PRIOR_DOF,
     Candidates,
     Search,
     compare_integers,
     condition,
     held_differences,
-    log_odds,
     pairs_of,
     take,
     tell,
@@ -40,7 +39,6 @@ from rtkmesh.rtk.memory import (
     LAST_ODDS,
     LAST_SECOND,
     LAST_SUCCESS,
-    NORM_LIMIT,
     SHOWN,
     SINCE_SEARCH,
     SLOPE,

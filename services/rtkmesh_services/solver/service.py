@@ -15,9 +15,11 @@ from rtkmesh.rtk.solution import Solution, Status
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.config import IngestTable, SolverTable
 from rtkmesh_schemas.errors import ConfigError
-from rtkmesh_schemas.keys import CREDIT, SAT, SOL, Role
+from rtkmesh_schemas.keys import CANDIDATES, CREDIT, SAT, SOL, Role
 from rtkmesh_schemas.observation import Credit
+from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import Level, ServiceStatus, State
+from rtkmesh_services.mapping.candidates import candidates_message
 from rtkmesh_services.mapping.options import navigation_only, session_options
 from rtkmesh_services.mapping.position import known_position
 from rtkmesh_services.mapping.solution import satellites_message, solution_message
@@ -258,12 +260,23 @@ class SolverService(Service):
         if fault := self.recent.solved(solution, message):
             context.faults.add(Fault(time_of(solution.time), "warning", solution.reason.name.lower(), fault))
         context.bus.publish(SOL, message)
+        self._publish_candidates(solution, message)
         self._broadcast.solved(message)
         self._texts.publish(context.bus, solution, message)
         due = self._followers.wants_satellites or now_ns - self._satellites_ns >= SATELLITES_PERIOD_NS
         if due and context.bus.matched(SAT):
             self._satellites_ns = now_ns
             context.bus.publish(SAT, satellites_message(solution, context.id))
+
+    def _publish_candidates(self, solution: Solution, message: SolutionMessage) -> None:
+        """Tell who wants them, the attitude process, the integers that may be those of this baseline."""
+        if message.mode != "moving-base" or not self.context.bus.matched(CANDIDATES):
+            return
+        if (table := self.session.engine.candidates()) is not None:
+            names = ("source", "start_id", "sequence", "rover", "base", "received_mono_ns")
+            identity = {name: getattr(message, name) for name in names}
+            now_ns = self.context.clock.mono_ns()
+            self.context.bus.publish(CANDIDATES, candidates_message(table, solution, published_mono_ns=now_ns, **identity))
 
     def _is_ready(self) -> bool:
         """Return whether replays may begin: all that is cached has come, and so have those who take the solutions."""

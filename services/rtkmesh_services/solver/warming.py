@@ -38,4 +38,6 @@ def solve(mode: Mode, rover: list[Message], base: list[Message]) -> int:
         for message in messages:
             session.feed(source, message)
         session.feed(source, EndOfStream())
-    return sum(1 for _ in session.solutions())
+    solutions = sum(1 for _ in session.solutions())
+    session.engine.candidates()
+    return solutions

@@ -1,0 +1,81 @@
+"""The candidates of an epoch: of a real engine over simulated receivers of the boat, held against what the engine itself makes of them."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.rtk.candidates import KEPT, CandidateTable
+from rtkmesh.rtk.engine import Rtk
+from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
+from rtkmesh.rtk.solution import Solution, Status
+from rtkmesh.simulation.scenario import open_stream, truth
+from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, broadcast
+
+START = GpsTime(2445, 7200.0)
+LENGTH_M = 2.0
+Solved = tuple[Solution, CandidateTable | None]
+
+
+def options(length_m: float | None, mode: AmbiguityMode = AmbiguityMode.CONTINUOUS) -> RtkOptions:
+    return RtkOptions(mode=Mode.MOVING_BASE, frequencies=1, systems="GE", baseline_length_m=length_m, ambiguity=AmbiguityOptions(mode=mode))
+
+
+@cache
+def solved(length_m: float | None, mode: AmbiguityMode = AmbiguityMode.CONTINUOUS) -> list[Solved]:
+    issues, engine = EphemerisTable(), Rtk(options(length_m, mode))
+    for satellite in SATELLITES.tolist():
+        issues.add(broadcast(satellite, START))
+    base, rover = (open_stream("boat", name, seed=5, rate_hz=1.0, start=START).receiver() for name in ("rover", "heading"))
+    out: list[Solved] = []
+    assert engine.candidates() is None
+    for k in range(4 if mode is AmbiguityMode.CONTINUOUS else 1):
+        solution = engine.step(rover.observe(START + float(k)).epoch, base.observe(START + float(k)).epoch, issues, KLOBUCHAR)
+        out.append((solution, engine.candidates()))
+    return out
+
+
+@pytest.mark.parametrize("length_m", [None, LENGTH_M])
+def test_the_best_candidate_is_the_engine_s_own_fix(length_m: float | None) -> None:
+    fixed = [(s, c) for s, c in solved(length_m) if s.status is Status.FIX and s.ambiguities_fixed]
+    assert fixed
+    for solution, found in fixed:
+        assert found is not None
+        if found.count == solution.ambiguities_fixed:
+            assert np.allclose(found.baselines_ecef_m[0], solution.baseline_ecef_m, atol=1e-6)
+            assert np.allclose(found.cov_ecef_m2, solution.baseline_cov_ecef_m2, rtol=1e-6, atol=1e-9)
+
+
+def test_candidates_are_different_and_the_true_one_is_among_them() -> None:
+    tell = truth("boat", seed=5)
+    for k, (_, found) in enumerate(solved(LENGTH_M)):
+        assert found is not None
+        assert 2 <= len(found.norms) <= KEPT
+        assert len(np.unique(found.integers, axis=0)) == len(found.norms)
+        assert found.integers.shape[1] == len(found.satellite) > found.count
+        at = tell(START + float(k)).antennas_ecef_m
+        assert np.linalg.norm(found.baselines_ecef_m - (at["heading"] - at["rover"]), axis=1).min() < 0.05
+
+
+def test_without_a_length_they_come_by_their_norm_and_nothing_nearer_is_left_out() -> None:
+    for _, found in solved(None):
+        assert found is not None
+        assert np.all(np.diff(found.norms) >= 0.0)
+        assert found.beyond >= found.norms[-1]
+
+
+def test_a_known_length_brings_up_what_has_it() -> None:
+    (_, free), (_, known) = solved(None, AmbiguityMode.INSTANTANEOUS)[0], solved(LENGTH_M, AmbiguityMode.INSTANTANEOUS)[0]
+    assert free is not None
+    assert known is not None
+    off = [float(np.abs(np.linalg.norm(t.baselines_ecef_m, axis=1) - LENGTH_M).mean()) for t in (free, known)]
+    assert off[1] < 0.5 * off[0]
+
+
+def test_an_epoch_without_a_base_has_none() -> None:
+    engine = Rtk(options(None))
+    rover = open_stream("boat", "heading", seed=5, rate_hz=1.0, start=START).receiver()
+    engine.step(rover.observe(START).epoch, None, EphemerisTable(), KLOBUCHAR)
+    assert engine.candidates() is None
