@@ -76,11 +76,12 @@ def test_the_solver_rests_under_water_and_no_fix_is_wrong(up: Callable[..., Depl
         return sum(event.code == code for event in told)
 
     with depth_sensor(deployment.endpoint):
-        deployment.until(lambda: fixes, 60.0)
-        deployment.until(lambda: codes("rule_begun"), 60.0)
+        deployment.until(lambda: fixes, 90.0)
+        begun = codes("rule_begun")  # a dive may have been over before the solver was there
+        deployment.until(lambda: codes("rule_begun") > begun, 60.0)
         deployment.until(lambda: statuses["auv_position"].state == "STOPPED", 10.0)
-        before = len(fixes)
-        deployment.until(lambda: codes("rule_ended"), 30.0)
+        before, ended = len(fixes), codes("rule_ended")
+        deployment.until(lambda: codes("rule_ended") > ended, 30.0)
         surfaced = time.monotonic()
         deployment.until(lambda: len(fixes) >= before + 20, 60.0)
         assert time.monotonic() - surfaced < 20.0

@@ -110,7 +110,8 @@ class RawLog:
         """Let the disk take all of it, and let go of the files."""
         with suppress(OSError):
             self.sync()
-        for file in self._files:
+        files, self._files = self._files, []  # a number that is closed twice may be somebody else's by then
+        for file in files:
             os.close(file.descriptor)
 
     def _next_batch(self) -> list[Waiting]:
