@@ -18,13 +18,14 @@ from rtkmesh_schemas.flockwave import NO_SCHEMA, Message, schema
 from rtkmesh_schemas.keys import CONTROL_ID, FLOCKWAVE
 from rtkmesh_schemas.observation import Observation, ReferenceMessage
 from rtkmesh_schemas.status import InputStatus, ReferenceStatus, ServiceStatus, State, StreamStatus
-from rtkmesh_services.control.flockwave.coordinates import coordinate, geodetic, millimetres
+from rtkmesh_services.control.flockwave.coordinates import coordinate, millimetres
 from rtkmesh_services.control.flockwave.envelope import Question, Refusal, read_any, read_message
 from rtkmesh_services.control.flockwave.server import MAXIMUM_BYTES
 from rtkmesh_services.control.flockwave.statistics import BaseStatistics, Forwarding
 from rtkmesh_services.control.flockwave.survey import SurveyError, SurveySettings
 from rtkmesh_services.runtime.configuration import ConfigErrors, parse_deployment
 from rtkmesh_services.runtime.state_files import STATE_VARIABLE
+from rtkmesh_services.texts.geodesy import geodetic
 
 S = 1_000_000_000
 VERSION = {"$fw.version": "1.0"}

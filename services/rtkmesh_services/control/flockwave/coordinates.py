@@ -1,11 +1,8 @@
 """Positions as Flockwave writes them: whole millimetres, and whole 1e-7 degrees. Without the engine: control is a light process."""
 
-from math import atan2, degrees, hypot, sin, sqrt
-from typing import Final
+from math import degrees
 
-_A_M: Final = 6378137.0  # WGS 84
-_E2: Final = 6.69437999014e-3
-_STEPS: Final = 8
+from rtkmesh_services.texts.geodesy import geodetic
 
 Position = tuple[float, float, float]
 
@@ -25,22 +22,3 @@ def coordinate(position_ecef_m: Position) -> list[int | None]:
     lat_rad, lon_rad, height_m = geodetic(position_ecef_m)
     lon = round(degrees(lon_rad) * 1e7)
     return [round(degrees(lat_rad) * 1e7), lon if lon < 1_800_000_000 else lon - 3_600_000_000, round(height_m * 1e3), None]
-
-
-def geodetic(position_ecef_m: Position) -> Position:
-    """Return latitude and longitude (rad) and ellipsoidal height (m) of a place near the earth's surface.
-
-    Fixed-point iteration on the latitude; its error shrinks by e2 with each step.
-    """
-    x, y, z = position_ecef_m
-    across = hypot(x, y)
-    lat_rad = atan2(z, across * (1.0 - _E2))
-    for _ in range(_STEPS):
-        lat_rad = atan2(z + _radius(lat_rad) * _E2 * sin(lat_rad), across)
-    north = z + _radius(lat_rad) * _E2 * sin(lat_rad)
-    return lat_rad, atan2(y, x), hypot(across, north) - _radius(lat_rad)
-
-
-def _radius(lat_rad: float) -> float:
-    """Return the radius of curvature in the prime vertical, m."""
-    return _A_M / sqrt(1.0 - _E2 * sin(lat_rad) ** 2)
