@@ -2,7 +2,7 @@
 
 numba looks only at the file of a kernel when it decides whether its compiled form is still good, not at the kernels that it
 calls, and the constants that it takes, from other files. A folder named by a hash of all files with kernels and all that these import
-makes an old form impossible. This must be called before numba is imported.
+makes an old form impossible. A new folder takes over what is still good (kernel_reuse). This must be called before numba is imported.
 """
 
 import os
@@ -10,11 +10,12 @@ import re
 import stat
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from hashlib import blake2b
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
+
+from rtkmesh_services.runtime.kernel_reuse import hash_of, record_of, start_with_known
 
 VARIABLE: Final = "NUMBA_CACHE_DIR"
 _KERNEL: Final = b"@kernel"
@@ -34,21 +35,38 @@ def use_kernel_cache() -> Path:
     except OSError:
         folder = _private_folder() / state
         folder.mkdir(exist_ok=True)
+    record = record_of(folder, _root())
+    if not record.exists():
+        start_with_known(record, *_with_kernels())
     os.environ[VARIABLE] = str(folder)
     return folder
 
 
 def engine_hash() -> str:
     """Return a name for the state of the engine's files that have kernels, and of all that they import."""
+    texts = {name: path.read_bytes() for name, path in _sources().items()}
+    return f"kernels-{hash_of({name: texts[name] for name in needed_by_kernels(texts)})}"
+
+
+def _with_kernels() -> tuple[dict[str, Path], dict[str, str]]:
+    """Return the file of each module with kernels, and a hash of it and of all that it imports."""
+    sources = _sources()
+    texts = {name: path.read_bytes() for name, path in sources.items()}
+    with_kernels = [name for name, text in texts.items() if _KERNEL in text]
+    hashes = {name: hash_of({other: texts[other] for other in needed_by_kernels(texts, [name])}) for name in with_kernels}
+    return {name: sources[name] for name in with_kernels}, hashes
+
+
+def _sources() -> dict[str, Path]:
+    root = _root()
+    return {module_of(path, root): path for path in root.rglob("*.py")}
+
+
+def _root() -> Path:
     spec = find_spec("rtkmesh")
     assert spec is not None, "the engine is installed with the services"
     assert spec.origin is not None, "the engine is a package with an __init__"
-    root = Path(spec.origin).parent
-    digest = blake2b(digest_size=8)
-    texts = {module_of(path, root): path.read_bytes() for path in root.rglob("*.py")}
-    for name in sorted(needed_by_kernels(texts)):
-        digest.update(name.encode() + b"\0" + texts[name])
-    return f"kernels-{digest.hexdigest()}"
+    return Path(spec.origin).parent
 
 
 def module_of(path: Path, root: Path) -> str:
@@ -57,10 +75,10 @@ def module_of(path: Path, root: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def needed_by_kernels(texts: Mapping[str, bytes]) -> set[str]:
-    """Return the modules with kernels and, of all that they import, the modules of the engine."""
+def needed_by_kernels(texts: Mapping[str, bytes], modules: Sequence[str] | None = None) -> set[str]:
+    """Return the modules with kernels, or those named, and, of all that they import, the modules of the engine."""
     found: set[str] = set()
-    todo = [name for name, text in texts.items() if _KERNEL in text]
+    todo = [name for name, text in texts.items() if _KERNEL in text] if modules is None else list(modules)
     while todo:
         name = todo.pop()
         if name in texts and name not in found:
