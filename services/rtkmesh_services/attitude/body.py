@@ -143,11 +143,11 @@ def _in_ned(readings: list[Reading], time: GpsTime) -> tuple[list[Reading], Vect
 
 
 def _moved(reading: Reading, time: GpsTime, origin: Vector, rotation: Matrix) -> Reading:
-    """Return a position about the origin, where it was at the epoch's time: receivers' time tags differ by up to a millisecond."""
+    """Return a position about the origin, where it was at the epoch's time: receivers' tags and clocks differ by up to a millisecond."""
     if reading.source.kind is not SourceKind.POSITION or reading.edge is None:
         return reading
     velocity = np.array(reading.velocity_ecef_mps)
-    moved = velocity * (time - reading.time) if np.isfinite(velocity).all() else np.zeros(3)
+    moved = velocity * (time - reading.time + reading.clock_s) if np.isfinite(velocity).all() else np.zeros(3)
     return replace(reading, edge=replace(reading.edge, vector_ned_m=rotation @ (reading.edge.vector_ned_m + moved - origin)))
 
 

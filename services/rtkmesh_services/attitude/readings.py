@@ -18,6 +18,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 
 FIX, FLOAT = 1, 2
 LARGEST_M, LARGEST_M2 = 1e8, 1e6  # beyond the earth, and a kilometre: no measurements (nor is NaN)
+LARGEST_CLOCK_S = 0.1  # receivers keep theirs within a millisecond or two; beyond this (nor is NaN) it is none
 VIRTUAL_LENGTH_M = 1.0  # of the line of antennas of a heading that says no length
 
 
@@ -42,7 +43,10 @@ class SourceSpec:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One message of a source. ``edge`` None: it says nothing now, and ``reason`` why. Of a position the vector is ECEF."""
+    """One message of a source. ``edge`` None: it says nothing now, and ``reason`` why. Of a position the vector is ECEF.
+
+    ``time`` is the tag, ``clock_s`` by how much the receiver's clock was ahead when it measured: the instant is ``time`` minus that.
+    """
 
     source: SourceSpec
     time: GpsTime
@@ -53,6 +57,7 @@ class Reading:
     age_s: float = 0.0
     received_mono_ns: int = 0
     velocity_ecef_mps: tuple[float, float, float] = field(default=(nan, nan, nan))
+    clock_s: float = 0.0
 
 
 def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: bool) -> Reading:
@@ -72,6 +77,7 @@ def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: b
         age_s=message.age_s,
         received_mono_ns=message.received_mono_ns,
         velocity_ecef_mps=message.velocity_ecef_mps,
+        clock_s=message.receiver_clock_s if abs(message.receiver_clock_s) < LARGEST_CLOCK_S else 0.0,
     )
 
 
