@@ -30,7 +30,8 @@ _SEEN_SHARE: Final = 0.5  # of the unseen angle's sigma: an angle less certain t
 class Edge:
     """A measured vector (3) from ``start`` to ``end`` with covariance (3x3). Ends that no layout knows are fixed points at the origin.
 
-    ``alone``: its error has nothing to do with that of other edges (a heading that a receiver computed).
+    ``alone``: its error has nothing to do with that of other edges (a heading that a receiver computed). ``wrong``: probability that its
+    integers are.
     """
 
     start: str
@@ -38,6 +39,7 @@ class Edge:
     vector_ned_m: Vector
     cov_m2: Matrix
     alone: bool = False
+    wrong: float = 0.0
 
 
 def joint(layout: Layout, edges: Sequence[Edge]) -> Measured:
