@@ -37,6 +37,10 @@ class AttitudeMessage(Wire, frozen=True, kw_only=True):
     ``rotation_cov_ned_rad2`` (of the small rotation in NED) says how uncertain. ``rate_radps``: forward, right, down, of the filter.
     ``points``: of the body. ``predicted_s``: since the last measurement, of the filter's. ``waited_ms``: from the arrival of the
     last source of the epoch to the publication; ``resets`` of the filter.
+
+    ``protection_rad``: heading, pitch and roll are further off than these with the configured risk, by what docs/concepts/rigid-body.md
+    assumes; infinite: nothing bounds the error; NaN: not seen, or not of an epoch (the filter's). ``protection_open``: antennas whose fault
+    no other would show.
     """
 
     source: str
@@ -77,6 +81,8 @@ class AttitudeMessage(Wire, frozen=True, kw_only=True):
     predicted_s: float = 0.0
     waited_ms: float = NAN
     resets: int = 0
+    protection_rad: Vector = NAN3
+    protection_open: list[str] = []
 
 
 class HeadingMessage(Wire, frozen=True, kw_only=True):

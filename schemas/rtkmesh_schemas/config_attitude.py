@@ -77,6 +77,20 @@ class AttitudeFilterTable(Table, frozen=True, kw_only=True, forbid_unknown_field
     max_coast_s: Annotated[float, Meta(gt=0.0, le=3600.0)] = 10.0
 
 
+class AttitudeIntegrityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.integrity]``: protection levels. ``risk``: probability per epoch that an angle is further off than its level.
+
+    ``antenna_fault``: prior probability per epoch that what one antenna measures is off by more than its sigmas say, beside wrong integers,
+    whose probability the solvers tell. An attitude with levels above ``alert_heading_deg`` or ``alert_tilt_deg`` (pitch and roll) is
+    ``unavailable``.
+    """
+
+    risk: Annotated[float, Meta(ge=1e-12, le=0.1)] = 1e-5
+    antenna_fault: Annotated[float, Meta(ge=0.0, le=0.5)] = 1e-4
+    alert_heading_deg: Annotated[float, Meta(gt=0.0, le=180.0)] | None = None
+    alert_tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)] | None = None
+
+
 class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude.ID]``: heading, pitch and roll of a vehicle from its antennas.
 
@@ -108,6 +122,7 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     wait_s: Annotated[float, Meta(ge=0.001, le=10.0)] = 0.2
     false_alarm: Annotated[float, Meta(ge=1e-9, le=0.1)] = 1e-3
     unseen_tilt_deg: Annotated[float, Meta(ge=0.1, le=90.0)] = 10.0
+    integrity: AttitudeIntegrityTable = AttitudeIntegrityTable()
     imu: ImuTable | None = None
     filter: AttitudeFilterTable | None = None
 

@@ -114,6 +114,16 @@ def levels(layout: Layout, measured: Measured, verdict: Judged, guarding: Guardi
     return Levels(np.where(seen, level, nan), tuple(layout.names[i] for i in sorted(left_open - excluded)))
 
 
+def line_levels(sigmas_rad: Vector, prior: float, guarding: Guarding) -> Vector:
+    """Return the levels of angles (n; NaN: not seen) of one baseline, each of whose antennas is at fault with probability ``prior``.
+
+    Nothing but its length tests it, and a fault across it changes no length: it is likelier than the risk allows, or not looked at.
+    """
+    if prior > 0.25 * guarding.risk:
+        return np.where(np.isfinite(sigmas_rad), inf, nan)
+    return widening(1.0, 0.5 * guarding.risk) * INFLATION * sigmas_rad
+
+
 def widening(prior: float, share: float) -> float:
     """Return how many sigmas a normal error of a hypothesis of probability ``prior`` stays within but for ``share`` of probability."""
     return sqrt(2.0 * log(prior / share)) if prior > share else 0.0

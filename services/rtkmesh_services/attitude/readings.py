@@ -108,19 +108,24 @@ def _time(week: int, tow_s: float) -> GpsTime:
 
 
 def _baseline(source: SourceSpec, message: SolutionMessage) -> Edge | None:
-    return _edge(source, NED_FROM_ENU @ np.array(message.baseline_enu_m), message.baseline_cov_enu_m2)
+    return _edge(source, NED_FROM_ENU @ np.array(message.baseline_enu_m), message.baseline_cov_enu_m2, _wrong(message))
 
 
 def _position(source: SourceSpec, message: SolutionMessage) -> Edge | None:
-    return _edge(source, np.array(message.position_ecef_m), message.position_cov_enu_m2)
+    return _edge(source, np.array(message.position_ecef_m), message.position_cov_enu_m2, _wrong(message))
 
 
-def _edge(source: SourceSpec, vector: Any, cov_enu_m2: tuple[float, ...]) -> Edge | None:
+def _wrong(message: SolutionMessage) -> float:
+    """Return the probability that a fix is wrong; 0 where the solver says nothing of it, and of a float."""
+    return 1.0 - message.fix_probability if 0.0 < message.fix_probability <= 1.0 else 0.0
+
+
+def _edge(source: SourceSpec, vector: Any, cov_enu_m2: tuple[float, ...], wrong: float) -> Edge | None:
     """Return the edge, None unless its covariance is one."""
     if len(cov_enu_m2) != 9 or not np.abs(vector).max() < LARGEST_M or not np.abs(cov_enu_m2).max() < LARGEST_M2:
         return None
     cov = NED_FROM_ENU @ np.array(cov_enu_m2).reshape(3, 3) @ NED_FROM_ENU
-    return Edge(source.start, source.end, vector, cov) if float(np.linalg.eigvalsh(cov)[0]) > 0.0 else None
+    return Edge(source.start, source.end, vector, cov, wrong=wrong) if float(np.linalg.eigvalsh(cov)[0]) > 0.0 else None
 
 
 def _line(source: SourceSpec, table: ReceiverHeadingTable, message: HeadingMessage, length_m: float, unseen_sigma_rad: float) -> Edge:

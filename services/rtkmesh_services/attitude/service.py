@@ -17,6 +17,7 @@ from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.body import Body, BodyAttitude, specs_of
 from rtkmesh_services.attitude.filtering import Filtering
+from rtkmesh_services.attitude.guard import Guard
 from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher
 from rtkmesh_services.attitude.messages import body_message, nmea_of
 from rtkmesh_services.attitude.one_baseline import attitude_message, mounting_of
@@ -42,6 +43,7 @@ class AttitudeService(Service):
         self._unseen_rad = radians(self._table.unseen_tilt_deg)
         self._specs = {spec.id: spec for spec in specs_of(self._table, context.deployment)}
         self._body = Body(self._table, tuple(self._specs.values())) if self._table.antennas or not self._table.solver else None
+        self._guard = Guard(self._table, None if self._body is None else self._body.layout)
         self._points = {name: point.position_m for name, point in self._table.points.items()}
         wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if any(t.replay for t in context.deployment.ingest.values()) else self._table.wait_s
         self._matcher = Matcher(tuple(self._specs), wait_s, slowest=self._table.rate == "slowest")
@@ -110,7 +112,7 @@ class AttitudeService(Service):
         if self._body is None:
             solution = decode(SolutionMessage, item.payload, item.encoding)
             antennas = [spec.start, spec.end]
-            self._publish(attitude_message(solution, self._table, self._mounting, antennas, self._identity()))
+            self._publish(self._guard.of_line(attitude_message(solution, self._table, self._mounting, antennas, self._identity())))
             return
         reading = self._reading(self._body, spec, item)
         if reading is None:
@@ -129,6 +131,7 @@ class AttitudeService(Service):
             assert self._body is not None, "only bodies have epochs"
             found = self._body.attitude(epoch)
             message = body_message(found, self._body.layout, self._points, self._unseen_rad, **self._identity())
+            message = self._guard.of_body(found, message)
             self._tell(found, message)
             self._publish(message)
             self._filter(found, message)
