@@ -160,3 +160,16 @@ def test_baselines_of_one_antenna_share_its_fault():
 def test_wrong_integers_are_faults_of_the_antenna_they_lead_to():
     edges = [Edge("a", "b", np.ones(3), np.eye(3), wrong=0.1), Edge("base", "c", np.ones(3), np.eye(3), wrong=2.0)]
     np.testing.assert_allclose(fault_priors(SQUARE, edges, 1e-4), [1e-4, 0.1001, 1.0, 1e-4])
+
+
+@pytest.mark.parametrize("size_m", [0.6, 1.0, 2.0])
+def test_a_large_fault_that_is_told_leaves_what_the_others_bound(size_m: float):
+    """Vertical, of four in a plane: only the true lengths tell whose it is, and no linear term may say otherwise."""
+    fault = np.zeros((4, 3))
+    fault[3, 2] = size_m
+    rng = np.random.default_rng(2)
+    verdict = judged(SQUARE, measured := drawn(SQUARE, rng, fault))
+    assert verdict.excluded == ("d",)
+    three = drawn(TRIANGLE, np.random.default_rng(2))
+    found = levels(SQUARE, measured, verdict, Guarding()).rad
+    np.testing.assert_allclose(found, levels(TRIANGLE, three, judged(TRIANGLE, three), Guarding()).rad, rtol=0.25)

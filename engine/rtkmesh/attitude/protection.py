@@ -8,7 +8,6 @@ no probability to miss a fault. First order about the published rotation. What i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from math import exp, inf, log, nan, sqrt
 from typing import Final, NamedTuple
 
@@ -60,14 +59,13 @@ class _Hypothesis(NamedTuple):
 
 
 class _Other(NamedTuple):
-    """The attitude without some antennas: its rotation (rad, NED) from the published one, covariance of what it sees, and chi-square.
+    """The attitude without some antennas: its rotation (rad, NED) from the published one, and covariance of what it sees.
 
     ``unseen``: a direction that it does not see and of which only the level is known.
     """
 
     turn_rad: Vector
     cov: Matrix
-    chi_square: float
     unseen: Vector | None
 
 
@@ -101,7 +99,7 @@ def levels(layout: Layout, measured: Measured, verdict: Judged, guarding: Guardi
         return Levels(np.full(3, nan))
     faults = np.full(len(layout.names), guarding.antenna_fault) if priors is None else priors
     model = _model(layout, measured, found)
-    hypotheses = _hypotheses(layout, measured, verdict, model, faults)
+    hypotheses = _hypotheses(layout, measured, verdict, faults)
     share = 0.5 * guarding.risk / max(len(hypotheses), 1)
     level, left_open = _own_level(found, guarding), set[int]()
     for prior, gone in hypotheses:
@@ -133,28 +131,21 @@ def _numbers(layout: Layout, names: tuple[str, ...]) -> tuple[int, ...]:
     return tuple(layout.names.index(name) for name in names)
 
 
-def _hypotheses(layout: Layout, measured: Measured, verdict: Judged, model: _Model, faults: Vector) -> list[_Hypothesis]:
+def _hypotheses(layout: Layout, measured: Measured, verdict: Judged, faults: Vector) -> list[_Hypothesis]:
     """Return what else may be wrong, with its probability given the verdict."""
     seen = [int(i) for i in np.flatnonzero(measured.seen)]
     if verdict.finding is Finding.NOT_IDENTIFIABLE:
         return [_Hypothesis(1.0, (i,)) for i in seen]
     excluded = _numbers(layout, verdict.excluded)
     more = [_Hypothesis(float(faults[i]), (*excluded, i)) for i in seen if i not in excluded]
-    return more + _instead(model, seen, excluded, faults) if excluded else more
+    others = [(_numbers(layout, names), worse) for names, worse in verdict.instead]
+    return more + [_Hypothesis(_odds(faults, chosen, excluded, worse), chosen) for chosen, worse in others]
 
 
-def _instead(model: _Model, seen: list[int], excluded: tuple[int, ...], faults: Vector) -> list[_Hypothesis]:
-    """Return that others were at fault than those that were excluded, with the likelihood by their chi-squares."""
-    best = _without(model, excluded)
-    others = [chosen for chosen in combinations(seen, len(excluded)) if set(chosen) != set(excluded)]
-    return [_Hypothesis(_odds(best, _without(model, chosen), faults[[*chosen]], faults[[*excluded]]), chosen) for chosen in others]
-
-
-def _odds(best: _Other | None, other: _Other | None, theirs: Vector, ours: Vector) -> float:
-    if best is None or other is None:
-        return 0.0
-    ratio = float(np.prod(theirs) / max(float(np.prod(ours)), 1e-300))
-    return min(1.0, ratio * exp(-0.5 * max(other.chi_square - best.chi_square, 0.0)))
+def _odds(faults: Vector, chosen: tuple[int, ...], excluded: tuple[int, ...], worse: float) -> float:
+    """Return how likely others were at fault than those that were excluded; ``worse``: by how much the chi-square without them is."""
+    ratio = float(np.prod(faults[[*chosen]]) / max(float(np.prod(faults[[*excluded]])), 1e-300))
+    return min(1.0, ratio * exp(-0.5 * max(worse, 0.0)))
 
 
 def _own_level(found: Fit, guarding: Guarding) -> Vector:
@@ -218,8 +209,7 @@ def _solved(rotation: Matrix, reduced: Matrix, scale: float) -> _Other | None:
         return None
     cov = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
     turn = cov @ reduced[:3, 3]
-    chi_square = float(reduced[3, 3] - reduced[3, :3] @ turn)
     if seen.all():
-        return _Other(turn, cov, chi_square, None)
+        return _Other(turn, cov, None)
     unseen = vectors[:, 0]
-    return _Other(turn + level_turn(rotation, unseen) * unseen, cov, chi_square, unseen)
+    return _Other(turn + level_turn(rotation, unseen) * unseen, cov, unseen)
