@@ -22,6 +22,7 @@ Matrix = NDArray[np.float64]
 
 _OWN_SHARE: Final = 0.25  # of an edge's variance that is no receiver's, where edges close loops: they were solved one by one
 _FLOOR_SHARE: Final = 0.05  # of the mean variance that a receiver has at least
+_LEAST_M: Final = 1e-4  # no sigma is smaller
 _LOOSE: Final = 1.0  # sigma, as a share of the length, across what a heading does not say
 _SEEN_SHARE: Final = 0.5  # of the unseen angle's sigma: an angle less certain than this share of it is not seen
 
@@ -50,6 +51,12 @@ def joint(layout: Layout, edges: Sequence[Edge]) -> Measured:
         if name in layout.names:
             weights[:, layout.names.index(name)] += signs[:, column]
     return Measured(weights, np.array([edge.vector_ned_m for edge in edges]), _joint_covariance(edges, signs))
+
+
+def made_positive(cov_m2: Matrix) -> Matrix:
+    """Return a covariance (3x3), made positive where rounding in a file left it not so."""
+    values, vectors = np.linalg.eigh(0.5 * (cov_m2 + cov_m2.T))
+    return (vectors * np.maximum(values, _LEAST_M**2)) @ vectors.T
 
 
 def heading_edge(
