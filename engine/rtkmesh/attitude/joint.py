@@ -8,6 +8,7 @@ in the position. Source: seed_systems.md 3.2 (end) and 3.3. NED, metres.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import cos, sin, sqrt
 from typing import Final
 
@@ -91,13 +92,23 @@ def _joint_covariance(edges: Sequence[Edge], signs: Matrix) -> Matrix:
     total = np.zeros((len(edges), 3, len(edges), 3))
     if shared:
         theirs, used = signs[shared], np.any(signs[shared] != 0.0, axis=0)
-        share = _OWN_SHARE if np.linalg.matrix_rank(theirs) < len(shared) else 0.0
+        share = _OWN_SHARE if _closes_loops(theirs.tobytes(), theirs.shape) else 0.0
         variances = receiver_variances(np.abs(theirs[:, used]), (1.0 - share) * own[shared])
         total[np.ix_(shared, range(3), shared, range(3))] = np.einsum("ki,iab,li->kalb", theirs[:, used], variances, theirs[:, used])
         own[shared] *= share
     for row, cov in enumerate(own):
         total[row, :, row, :] += cov
     return total.reshape(3 * len(edges), 3 * len(edges))
+
+
+@lru_cache(maxsize=64)
+def _closes_loops(signs: bytes, shape: tuple[int, int]) -> bool:
+    return int(np.linalg.matrix_rank(np.frombuffer(signs).reshape(shape))) < shape[0]
+
+
+@lru_cache(maxsize=64)
+def _inverse(members: bytes, shape: tuple[int, int]) -> Matrix:
+    return np.linalg.pinv(np.frombuffer(members, np.float64).reshape(shape)).astype(np.float64)
 
 
 def receiver_variances(members: Matrix, covs_m2: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -107,7 +118,7 @@ def receiver_variances(members: Matrix, covs_m2: NDArray[np.float64]) -> NDArray
     """
     mean = covs_m2.mean(axis=0) / 2.0
     missing = covs_m2 - np.einsum("km,ab->kab", members, mean)
-    variances = mean + np.einsum("mk,kab->mab", np.linalg.pinv(members), missing)
+    variances = mean + np.einsum("mk,kab->mab", _inverse(members.tobytes(), members.shape), missing)
     values, vectors = np.linalg.eigh(variances)
     floor = _FLOOR_SHARE * float(np.trace(mean)) / 3.0
     return np.einsum("mab,mb,mcb->mac", vectors, np.maximum(values, floor), vectors)

@@ -196,8 +196,11 @@ def _without(model: _Model, gone: tuple[int, ...]) -> _Other | None:
     """
     n, told = len(model.information), model.information
     free = [k for i in gone for k in range(3 * i, 3 * i + 3)] + [*range(3 * model.antennas, n - 4)]
-    inverse = np.linalg.pinv(told[np.ix_(free, free)], rcond=_SAME, hermitian=True)
-    reduced = told[n - 4 :, n - 4 :] - told[n - 4 :, free] @ inverse @ told[free, n - 4 :]
+    rows = told[free]
+    values, vectors = np.linalg.eigh(rows[:, free])
+    kept = values > _SAME * values[-1]
+    projected = vectors[:, kept].T @ rows[:, n - 4 :]
+    reduced = told[n - 4 :, n - 4 :] - (projected.T / values[kept]) @ projected
     return _solved(model.rotation, reduced, float(np.trace(told[n - 4 : n - 1, n - 4 : n - 1])))
 
 
