@@ -17,11 +17,13 @@ Ids = Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=64)], ...], M
 class AntennaPlaceTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude.ID.antennas.NAME]``: where the antenna of ingest NAME is in the vehicle: forward, right, down from its origin, m.
 
-    ``sigma_m``: how well that is known, one number or three.
+    ``sigma_m``: how well that is known, one number or three. ``covariance_m2``: instead, as ``rtkmesh antennas calibrate`` writes it, the
+    covariance (3x3, row-major) with itself and with antennas named before it; it counts between antennas that both have one.
     """
 
     position_m: Place
     sigma_m: float | tuple[float, float, float] = 0.0  # bounds are checked by the shell: msgspec 0.22 mixes those of a union up
+    covariance_m2: dict[str, tuple[Metres, Metres, Metres, Metres, Metres, Metres, Metres, Metres, Metres]] = {}
 
     @property
     def sigmas_m(self) -> Place:

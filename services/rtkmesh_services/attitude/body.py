@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude.integrity import Finding, Judged, judged
 from rtkmesh.attitude.joint import Edge, joint, length_m
+from rtkmesh.attitude.layout_covariance import joint_covariance
 from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.attitude.rotation import NED_FROM_ENU
 from rtkmesh.gnss.frames import enu_from_ecef_at
@@ -59,9 +60,10 @@ def layout_of(table: AttitudeTable) -> Layout:
         if not heading.antennas:
             start, end = _ends(name, heading)
             places[start], places[end] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (_direction(heading), (0.0, 0.0, 0.0))
-    sigmas = np.array([sigma for _, sigma in places.values()]).ravel()
+    blocks = {name: antenna.covariance_m2 for name, antenna in table.antennas.items()}
+    cov = joint_covariance({name: sigmas for name, (_, sigmas) in places.items()}, blocks)
     positions = np.array([place for place, _ in places.values()], dtype=np.float64).reshape(-1, 3)
-    return Layout(tuple(places), positions, np.diag(sigmas**2) if np.any(sigmas > 0.0) else None)
+    return Layout(tuple(places), positions, cov)
 
 
 class Body:
