@@ -48,6 +48,9 @@ def test_two_antennas_bound_nothing_and_say_so() -> None:
         trusting = Vehicle(PAIR, integrity=table(antenna_fault=0.0), **told).epoch(10.0)
         assert isfinite(trusting.protection_rad[0])
         assert trusting.protection_open == []
+        feared = Vehicle(PAIR, integrity=table(antenna_fault=0.0), **told)
+        feared.say("ab", feared.baseline("ab", 10.0, fix_probability=0.99))
+        assert feared.attitudes()[-1].protection_rad[0] == inf, "wrong integers are heading, too"
 
 
 def test_levels_beyond_their_limits_are_unavailable() -> None:

@@ -12,7 +12,9 @@ from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.config_attitude import AttitudeTable
+from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_services.attitude.body import BodyAttitude
+from rtkmesh_services.attitude.readings import wrong_probability
 
 _ANGLES = ("heading", "pitch", "roll")
 
@@ -32,10 +34,11 @@ class Guard:
         bounds = self._levels(found)
         return self._judged(message, bounds, list(dict.fromkeys(name.split(": ")[0] for name in bounds.open)))
 
-    def of_line(self, message: AttitudeMessage) -> AttitudeMessage:
-        """Return the message of one baseline, that its length alone tests, with its levels."""
+    def of_line(self, message: AttitudeMessage, solution: SolutionMessage) -> AttitudeMessage:
+        """Return the message of one baseline, a solution that its length alone tests, with its levels."""
         sigmas = np.sqrt(np.diag(np.array(message.covariance_rad2).reshape(3, 3)))
-        bounds = Levels(line_levels(sigmas, self._guarding.antenna_fault, self._guarding))
+        prior = max(self._guarding.antenna_fault, wrong_probability(solution))
+        bounds = Levels(line_levels(sigmas, prior, self._guarding))
         return self._judged(message, bounds, message.antennas_used if np.isinf(bounds.rad).any() else [])
 
     def _levels(self, found: BodyAttitude) -> Levels:

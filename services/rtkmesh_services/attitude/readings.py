@@ -108,14 +108,14 @@ def _time(week: int, tow_s: float) -> GpsTime:
 
 
 def _baseline(source: SourceSpec, message: SolutionMessage) -> Edge | None:
-    return _edge(source, NED_FROM_ENU @ np.array(message.baseline_enu_m), message.baseline_cov_enu_m2, _wrong(message))
+    return _edge(source, NED_FROM_ENU @ np.array(message.baseline_enu_m), message.baseline_cov_enu_m2, wrong_probability(message))
 
 
 def _position(source: SourceSpec, message: SolutionMessage) -> Edge | None:
-    return _edge(source, np.array(message.position_ecef_m), message.position_cov_enu_m2, _wrong(message))
+    return _edge(source, np.array(message.position_ecef_m), message.position_cov_enu_m2, wrong_probability(message))
 
 
-def _wrong(message: SolutionMessage) -> float:
+def wrong_probability(message: SolutionMessage) -> float:
     """Return the probability that a fix is wrong; 0 where the solver says nothing of it, and of a float."""
     return 1.0 - message.fix_probability if 0.0 < message.fix_probability <= 1.0 else 0.0
 

@@ -112,7 +112,8 @@ class AttitudeService(Service):
         if self._body is None:
             solution = decode(SolutionMessage, item.payload, item.encoding)
             antennas = [spec.start, spec.end]
-            self._publish(self._guard.of_line(attitude_message(solution, self._table, self._mounting, antennas, self._identity())))
+            message = attitude_message(solution, self._table, self._mounting, antennas, self._identity())
+            self._publish(self._guard.of_line(message, solution))
             return
         reading = self._reading(self._body, spec, item)
         if reading is None:
