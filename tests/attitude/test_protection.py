@@ -44,10 +44,10 @@ def off_rad(found: Fit) -> NDArray[np.float64]:
 def test_without_noise_levels_are_sigmas_of_the_design():
     """Level and north, nothing separates: the larger of the sigmas with all antennas and without each, at their shares of the risk."""
     measured = positions(SQUARE.positions_m, NOISE.cov_m2(4))
-    guarding = Guarding(risk=1e-5, antenna_fault=1e-2)
+    guarding = Guarding(risk=1e-5, antenna_fault=3e-4)
     found = levels(SQUARE, measured, judged(SQUARE, measured), guarding)
     planned = design(SQUARE, NOISE, np.zeros(3))
-    own, other = sqrt(2.0 * log(1.0 / 0.5e-5)), sqrt(2.0 * log(1e-2 / (0.5e-5 / 4)))
+    own, other = sqrt(2.0 * log(1.0 / 0.5e-5)), sqrt(2.0 * log(3e-4 / (0.5e-5 / 4)))
     for value, name in zip(found.rad, ("heading_rad", "pitch_rad", "roll_rad"), strict=True):
         worst = max(getattr(one, name) for one in planned.without.values())
         assert value == pytest.approx(INFLATION * max(own * getattr(planned.whole, name), other * worst), rel=1e-6)
@@ -135,6 +135,21 @@ def test_an_attitude_that_failed_is_bounded_by_every_suspect():
     assert verdict.finding is Finding.NOT_IDENTIFIABLE
     assert verdict.fit is not None
     assert (off_rad(verdict.fit) < levels(SQUARE, measured, verdict, Guarding(unseen_sigma_rad=UNSEEN)).rad).all()
+
+
+def test_two_faults_at_once_count_where_they_are_likely():
+    """Integers that are wrong with a tenth each: two antennas of four may be at fault together, and two that are left see no turn."""
+    measured = drawn(SQUARE, np.random.default_rng(6))
+    verdict = judged(SQUARE, measured)
+    rare, likely = (levels(SQUARE, measured, verdict, Guarding(), np.full(4, prior)) for prior in (1e-4, 0.1))
+    assert max(np.degrees(rare.rad)) < 15.0 < 30.0 < min(np.degrees(likely.rad[1:]))
+    pair = np.array([1.0, 1.0, 0.0, 0.0])
+    hidden = np.zeros((4, 3))
+    hidden[:2, 2] = 0.5, -0.5
+    wrong = drawn(SQUARE, np.random.default_rng(6), hidden)
+    said = judged(SQUARE, wrong, false_alarm=1e-300)
+    assert said.fit is not None
+    assert (off_rad(said.fit) < levels(SQUARE, wrong, said, Guarding(unseen_sigma_rad=UNSEEN), pair).rad).all()
 
 
 def test_levels_grow_as_the_risk_shrinks():

@@ -8,6 +8,7 @@ no probability to miss a fault. First order about the published rotation. What i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from math import exp, inf, log, nan, sqrt
 from typing import Final, NamedTuple
 
@@ -23,6 +24,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 INFLATION: Final = 1.5  # of sigmas: mean squares of normalised errors of fixes reach 1.7 on recordings
+_RARE: Final = 1e-2  # of the risk: two faults at once that are less likely are left out
 _UNSEEN: Final = 1e-8  # a direction with a smaller share of the information is not seen
 _SAME: Final = 1e-10  # of what is not asked for: a mix of antennas that says nothing
 
@@ -99,7 +101,7 @@ def levels(layout: Layout, measured: Measured, verdict: Judged, guarding: Guardi
         return Levels(np.full(3, nan))
     faults = np.full(len(layout.names), guarding.antenna_fault) if priors is None else priors
     model = _model(layout, measured, found)
-    hypotheses = _hypotheses(layout, measured, verdict, faults)
+    hypotheses = _hypotheses(layout, measured, verdict, faults, guarding.risk)
     share = 0.5 * guarding.risk / max(len(hypotheses), 1)
     level, left_open = _own_level(found, guarding), set[int]()
     for prior, gone in hypotheses:
@@ -131,13 +133,16 @@ def _numbers(layout: Layout, names: tuple[str, ...]) -> tuple[int, ...]:
     return tuple(layout.names.index(name) for name in names)
 
 
-def _hypotheses(layout: Layout, measured: Measured, verdict: Judged, faults: Vector) -> list[_Hypothesis]:
+def _hypotheses(layout: Layout, measured: Measured, verdict: Judged, faults: Vector, risk: float) -> list[_Hypothesis]:
     """Return what else may be wrong, with its probability given the verdict."""
     seen = [int(i) for i in np.flatnonzero(measured.seen)]
     if verdict.finding is Finding.NOT_IDENTIFIABLE:
         return [_Hypothesis(1.0, (i,)) for i in seen]
     excluded = _numbers(layout, verdict.excluded)
-    more = [_Hypothesis(float(faults[i]), (*excluded, i)) for i in seen if i not in excluded]
+    sound = [i for i in seen if i not in excluded]
+    more = [_Hypothesis(float(faults[i]), (*excluded, i)) for i in sound]
+    pairs = [_Hypothesis(float(faults[i] * faults[j]), (*excluded, i, j)) for i, j in combinations(sound, 2)]
+    more += [pair for pair in pairs if pair.prior > _RARE * risk]
     others = [(_numbers(layout, names), worse) for names, worse in verdict.instead]
     return more + [_Hypothesis(_odds(faults, chosen, excluded, worse), chosen) for chosen, worse in others]
 
