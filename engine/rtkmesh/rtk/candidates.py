@@ -25,6 +25,7 @@ Indices = NDArray[np.int64]
 
 KEPT: Final = CONSTRAINED_CANDIDATES
 SEARCHED: Final = 400  # with a known length: the right one may be far down the list, the length brings it up
+_FEW: Final = 16  # double differences of which so many are searched: with more the right one is among the first (algorithms.md A4)
 _SIGNAL: Final = 512  # a key is (satellite * 512 + rover signal) * 512 + base signal
 
 
@@ -105,7 +106,7 @@ def rank(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: flo
     None where the covariance is not positive definite or the search does not end.
     """
     pairs, none = pairs_of(candidates), np.zeros((0, 3))
-    n, searched = len(pairs), SEARCHED if np.isfinite(length_m) else KEPT + 1
+    n, searched = len(pairs), SEARCHED if np.isfinite(length_m) and len(pairs) <= _FEW else KEPT + 1
     fixed, norms = np.zeros((searched, n)), np.zeros(searched)
     status = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)[0] if n > 0 else -1
     if status != OK and n > 0 and searched > KEPT + 1:

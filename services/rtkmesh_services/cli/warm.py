@@ -63,6 +63,7 @@ def steps() -> Iterator[tuple[str, Callable[[], object]]]:
     """Yield what is to be run, with its name; what comes first is needed by what follows."""
     yield "imports", _import_engine
     from rtkmesh.rtk.options import Mode
+    from rtkmesh_services.attitude.warming import warm_choice
     from rtkmesh_services.solver.warming import simulated_messages, solve
 
     messages: dict[str, list[Message]] = {}
@@ -78,6 +79,7 @@ def steps() -> Iterator[tuple[str, Callable[[], object]]]:
     for mode in (mode for mode in Mode if mode is not Mode.FIXED):  # which needs a position and has no kernel of its own
         pair = ("heading", "rover") if mode is Mode.MOVING_BASE else ("rover", "base")
         yield f"mode {mode.value}", lambda mode=mode, pair=pair: run(mode, *pair)
+    yield "choice of integers", warm_choice
     yield "RTCM 3 legacy messages", _read_legacy
     yield "RINEX", _read_rinex
 

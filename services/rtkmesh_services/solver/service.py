@@ -255,12 +255,14 @@ class SolverService(Service):
             solve_ms=solve_ms,
             received_mono_ns=received,
             published_mono_ns=now_ns,
+            candidates=self._tells_candidates(solution),
         )
         self._sequence += 1
         if fault := self.recent.solved(solution, message):
             context.faults.add(Fault(time_of(solution.time), "warning", solution.reason.name.lower(), fault))
         context.bus.publish(SOL, message)
-        self._publish_candidates(solution, message)
+        if message.candidates:
+            self._publish_candidates(solution, message)
         self._broadcast.solved(message)
         self._texts.publish(context.bus, solution, message)
         due = self._followers.wants_satellites or now_ns - self._satellites_ns >= SATELLITES_PERIOD_NS
@@ -268,15 +270,18 @@ class SolverService(Service):
             self._satellites_ns = now_ns
             context.bus.publish(SAT, satellites_message(solution, context.id))
 
+    def _tells_candidates(self, solution: Solution) -> bool:
+        """Return whether somebody, an attitude process, wants the integers that may be those of this baseline, and there may be some."""
+        moving = self.settings.active.mode == "moving-base" and solution.status in (Status.FIX, Status.FLOAT)
+        return moving and self.context.bus.matched(CANDIDATES)
+
     def _publish_candidates(self, solution: Solution, message: SolutionMessage) -> None:
-        """Tell who wants them, the attitude process, the integers that may be those of this baseline."""
-        if message.mode != "moving-base" or not self.context.bus.matched(CANDIDATES):
-            return
-        if (table := self.session.engine.candidates()) is not None:
-            names = ("source", "start_id", "sequence", "rover", "base", "received_mono_ns")
-            identity = {name: getattr(message, name) for name in names}
-            now_ns = self.context.clock.mono_ns()
-            self.context.bus.publish(CANDIDATES, candidates_message(table, solution, published_mono_ns=now_ns, **identity))
+        """Tell the candidates that the solution promised, also when there are none: nobody waits for them then."""
+        names = ("source", "start_id", "sequence", "rover", "base", "received_mono_ns")
+        identity = {name: getattr(message, name) for name in names}
+        now_ns = self.context.clock.mono_ns()
+        told = candidates_message(self.session.engine.candidates(), solution, published_mono_ns=now_ns, **identity)
+        self.context.bus.publish(CANDIDATES, told)
 
     def _is_ready(self) -> bool:
         """Return whether replays may begin: all that is cached has come, and so have those who take the solutions."""
