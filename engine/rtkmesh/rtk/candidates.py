@@ -62,12 +62,20 @@ class Ranked(NamedTuple):
     beyond: float
 
 
-def candidate_table(f: Filter, satellites: SatelliteTable, memory: Vector, setup: Setup) -> CandidateTable | None:
-    """Return the best candidates of an epoch with this filter and satellite table; None where too little can be searched."""
+def candidate_table(
+    f: Filter, satellites: SatelliteTable, memory: Vector, setup: Setup, length: tuple[float, float] | None = None
+) -> CandidateTable | None:
+    """Return the best candidates of an epoch with this filter and satellite table; None where too little can be searched.
+
+    ``length`` (m) of the baseline and its sigma, if the filter's options do not tell it.
+    """
     found = _usable(f, satellites, setup, glonass=memory[TRUSTS_GLONASS] > 0.0)
     if len(found.row) < 2:
         return None
-    ranked = rank(f, found, setup.resolve.length_m, setup.resolve.length_sigma_m)
+    length_m, sigma_m = setup.resolve.length_m, setup.resolve.length_sigma_m
+    if length is not None and not np.isfinite(length_m):
+        length_m, sigma_m = length
+    ranked = rank(f, found, length_m, sigma_m)
     if not len(ranked.norms):
         return None
     keys, columns = f.keys[found.row], np.zeros(len(f.x), np.int64)

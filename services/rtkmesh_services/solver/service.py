@@ -33,6 +33,7 @@ from rtkmesh_services.solver.broadcast import Broadcast
 from rtkmesh_services.solver.followers import Followers
 from rtkmesh_services.solver.formats import TextPublisher
 from rtkmesh_services.solver.inputs import CREDIT_EVERY, InputStream
+from rtkmesh_services.solver.known_lengths import known_lengths
 from rtkmesh_services.solver.neighbours import Neighbours
 from rtkmesh_services.solver.recent import Recent
 from rtkmesh_services.solver.screens.status import StatusView, status_data, status_screen
@@ -62,6 +63,7 @@ class SolverService(Service):
         self.running = table.autostart if context.running is None else context.running
         with self._refusals():
             self.session = Session(self._session_options(table))
+        self._lengths = known_lengths(context.deployment)
         self.recent, self.neighbours = Recent(), Neighbours(context.deployment, context.id)
         self._words, self._broadcast = Words(self), Broadcast(context, self._screen)
         self._inputs = {name: InputStream(name, source, self._ingest(name).replay) for source, name in self._sources()}
@@ -279,8 +281,8 @@ class SolverService(Service):
         """Tell the candidates that the solution promised, also when there are none: nobody waits for them then."""
         names = ("source", "start_id", "sequence", "rover", "base", "received_mono_ns")
         identity = {name: getattr(message, name) for name in names}
-        now_ns = self.context.clock.mono_ns()
-        told = candidates_message(self.session.engine.candidates(), solution, published_mono_ns=now_ns, **identity)
+        now_ns, length = self.context.clock.mono_ns(), self._lengths.get((message.base, message.rover))
+        told = candidates_message(self.session.engine.candidates(length), solution, published_mono_ns=now_ns, **identity)
         self.context.bus.publish(CANDIDATES, told)
 
     def _is_ready(self) -> bool:
