@@ -68,7 +68,7 @@ def deployment_text() -> str:
 
 
 def test_known_places_give_one_frequency_an_attitude_at_once(up: Callable[..., Deployment]) -> None:
-    """The same floats: without the places hardly any epoch has an attitude, with them nearly all have once ephemerides have come; none is wrong."""
+    """The same floats: without places hardly any epoch has an attitude, with them nearly all with ephemerides have; none is wrong."""
     deployment = up(deployment_text())
     found: dict[str, list[AttitudeMessage]] = {name: [] for name in ("two", "two_alone", "three", "three_alone")}
     for name, messages in found.items():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import BEIDOU, GLONASS, SATELLITES_PER_SYSTEM, SBAS
+from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import CONSTRAINED_CANDIDATES, NODE_LIMIT, Candidates, difference, pairs_of, search_pairs
 from rtkmesh.rtk.filter import factor
 from rtkmesh.rtk.lambda_search import OK
@@ -26,6 +27,7 @@ Indices = NDArray[np.int64]
 KEPT: Final = CONSTRAINED_CANDIDATES
 SEARCHED: Final = 400  # with a known length: the right one may be far down the list, the length brings it up
 _FEW: Final = 16  # double differences of which so many are searched: with more the right one is among the first (algorithms.md A4)
+_CLEAR: Final = 15.0  # log odds of the best against what is not kept: then the right one is kept
 _SIGNAL: Final = 512  # a key is (satellite * 512 + rover signal) * 512 + base signal
 
 
@@ -114,13 +116,13 @@ def rank(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: flo
     None where the covariance is not positive definite or the search does not end.
     """
     pairs, none = pairs_of(candidates), np.zeros((0, 3))
-    n, searched = len(pairs), SEARCHED if np.isfinite(length_m) and len(pairs) <= _FEW else KEPT + 1
+    n, searched = len(pairs), KEPT + 1
     fixed, norms = np.zeros((searched, n)), np.zeros(searched)
     status = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)[0] if n > 0 else -1
-    if status != OK and n > 0 and searched > KEPT + 1:
-        searched = KEPT + 1
-        fixed, norms = np.zeros((searched, n)), np.zeros(searched)
-        status = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)[0]
+    if status == OK and n <= _FEW and np.isfinite(length_m) and log_odds(norms[0], norms[KEPT], n) < _CLEAR:
+        many, their_norms = np.zeros((SEARCHED, n)), np.zeros(SEARCHED)
+        if search_pairs(f.x, f.P, pairs, NODE_LIMIT, many, their_norms)[0] == OK:
+            searched, fixed, norms = SEARCHED, many, their_norms
     gain, mean, cov = np.zeros((3, n)), np.zeros(3), np.zeros((3, 3))
     if status != OK or not _gain_of(f, pairs, gain, mean, cov):
         return Ranked(pairs, fixed[:0], none, cov, norms[:0], np.inf)

@@ -18,9 +18,8 @@ from rtkmesh.attitude.joint import Edge
 from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.attitude.search import LEAST_AMBIGUITIES, Choice, Expectation, Verdict, choose
 from rtkmesh_schemas.candidates import CandidatesMessage
-from rtkmesh_schemas.errors import DecodeError
 from rtkmesh_services.attitude.matching import MatchedEpoch
-from rtkmesh_services.attitude.readings import FIX, Reading, SourceKind
+from rtkmesh_services.attitude.readings import FIX, Reading, SourceKind, SourceSpec
 from rtkmesh_services.mapping.candidates import candidates_of
 
 _SAME_M = 0.01  # a fix so near to what is chosen is the same, but for ambiguities that its solver left open
@@ -57,6 +56,12 @@ class Geometry:
         self._number = {name: number for number, name in enumerate(layout.names)}
         self.counts: Counter[str] = Counter()
 
+    def decoded(self, source: SourceSpec, message: CandidatesMessage) -> Candidates | None:
+        """Return the candidates of a source's baseline, None if there are none; DecodeError for what are no candidates."""
+        if not message.norms or not {source.start, source.end} <= self._number.keys():
+            return None
+        return candidates_of(message, self._number[source.start], self._number[source.end])
+
     def wanted(self, readings: Mapping[str, Reading]) -> bool:
         """Return whether the candidates of these readings may change something."""
         lines = self._lines_of(readings)
@@ -73,12 +78,19 @@ class Geometry:
         self.counts["triangles_open"] += len(around.open)
         fixed = [reading for reading in lines.readings if _is_fixed(reading)]
         if len(fixed) == len(lines.readings) and not around.open and not self._contradict(fixed):
-            return Chosen(epoch.readings)
-        choice = choose(self._layout, lines.tables, self._expected)
+            all_fixed = all(map(_is_fixed, self._lines_of(epoch.readings)))
+            return Chosen(epoch.readings, "" if all_fixed else Verdict.NO_CANDIDATES.value)
+        choice = self._choice(lines.tables)
         self.counts[f"geometry_{choice.verdict.value.replace(' ', '_')}"] += 1
         if choice.accepted:
             return self._taken(epoch.readings, lines, choice)
         return self._refused(epoch.readings, lines, choice.verdict, around)
+
+    def _choice(self, tables: Sequence[Candidates]) -> Choice:
+        try:
+            return choose(self._layout, tables, self._expected)
+        except np.linalg.LinAlgError:  # covariances of a stranger
+            return Choice(Verdict.NO_COMBINATION)
 
     def _lines_of(self, readings: Mapping[str, Reading]) -> list[Reading]:
         """Return the readings of baselines between antennas of the layout."""
@@ -103,24 +115,14 @@ class Geometry:
                 lines.tables.append(table)
         return lines
 
-    def _table(self, reading: Reading, message: CandidatesMessage | None) -> tuple[Candidates | None, Candidates | None]:
+    def _table(self, reading: Reading, table: Candidates | None) -> tuple[Candidates | None, Candidates | None]:
         """Return what there is to choose from for a baseline, and the integers of one that is fixed. A fix of no candidate is known."""
-        table = self._decoded(reading, message)
         if not _is_fixed(reading) or reading.edge is None:
             return table if table is not None and table.count >= LEAST_AMBIGUITIES else None, None
         told = None if table is None else fixed_among(table, reading.edge.vector_ned_m)
         if table is None or told is None or table.count < LEAST_AMBIGUITIES:
             return known_baseline(*self._ends(reading), reading.edge.vector_ned_m, reading.edge.cov_m2), told
         return table, told
-
-    def _decoded(self, reading: Reading, message: CandidatesMessage | None) -> Candidates | None:
-        if message is None or not message.norms:
-            return None
-        try:
-            return candidates_of(message, *self._ends(reading))
-        except DecodeError:
-            self.counts["candidates_wrong"] += 1
-            return None
 
     def _taken(self, readings: dict[str, Reading], lines: _Lines, choice: Choice) -> Chosen:
         """Return the readings with the chosen baselines instead of those that are not fixed, or fixed elsewhere."""

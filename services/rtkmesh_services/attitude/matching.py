@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf
 
+from rtkmesh.attitude.candidates import Candidates
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh_schemas.candidates import CandidatesMessage
 from rtkmesh_services.attitude.readings import Reading
 from rtkmesh_services.attitude.shelf import Shelf
 
@@ -47,7 +47,7 @@ class MatchedEpoch:
     whole: bool
     missing: tuple[str, ...]
     wanted: bool = False
-    candidates: dict[str, CandidatesMessage] = field(default_factory=dict[str, CandidatesMessage])
+    candidates: dict[str, Candidates] = field(default_factory=dict[str, Candidates])
 
 
 @dataclass(slots=True)
@@ -97,12 +97,12 @@ class Matcher:
         pending.readings[reading.source.id], pending.wanted = reading, None
         yield from self.ready(now_s)
 
-    def take_candidates(self, source: str, time: GpsTime, message: CandidatesMessage, now_s: float) -> Iterator[MatchedEpoch]:
-        """Take the candidates of a source and yield the epochs that are complete now."""
+    def take_candidates(self, source: str, time: GpsTime, found: Candidates | None, now_s: float) -> Iterator[MatchedEpoch]:
+        """Take the candidates of a source (None: there are none) and yield the epochs that are complete now."""
         if self._closed is not None and -BACK_S <= time - self._closed <= TOLERANCE_S:
             self.late_candidates[source] += self._was_wanted
             return
-        self._candidates.put(source, time, message)
+        self._candidates.put(source, time, found)
         yield from self.ready(now_s)
 
     def ready(self, now_s: float) -> Iterator[MatchedEpoch]:

@@ -136,9 +136,14 @@ class AttitudeService(Service):
 
     def _take_candidates(self, spec: SourceSpec, item: Sample) -> None:
         """Take the candidates of a baseline's integers; they are counted only where they come too late."""
+        assert self._geometry is not None, "it subscribed to them"
         message = decode(CandidatesMessage, item.payload, item.encoding)
-        time = time_of(message.week, message.tow_s)
-        self._publish_all(self._matcher.take_candidates(spec.id, time, message, self._now_s()))
+        time, found = time_of(message.week, message.tow_s), None
+        try:
+            found = self._geometry.decoded(spec, message)
+        except DecodeError:
+            self._errors[spec.id] += 1
+        self._publish_all(self._matcher.take_candidates(spec.id, time, found, self._now_s()))
 
     def _reading(self, spec: SourceSpec, item: Sample) -> Reading | None:
         if spec.heading is None or self._body is None:
