@@ -40,9 +40,10 @@ right = { position_m = [0.0, 1.2, 0.0] }
 
 
 def test_a_right_file_has_no_fault() -> None:
-    table = parse_deployment(FILE, "x.toml").attitude["boat"]
+    deployment = parse_deployment(FILE, "x.toml")
+    table = deployment.attitude["boat"]
     assert (table.sources, table.antennas["front"].sigmas_m) == (("along", "place"), (0.001, 0.002, 0.003))
-    assert list(notes_on("boat", table)) == []
+    assert list(notes_on("boat", table, deployment)) == []
 
 
 @pytest.mark.parametrize(
@@ -74,8 +75,15 @@ def test_faults_are_said(old: str, new: str, expected: str) -> None:
 
 
 def test_antennas_on_one_line_are_a_note() -> None:
-    table = parse_deployment(FILE.replace("[0.0, 1.2, 0.0]", "[1.0, 0.0005, 0.0]"), "x.toml").attitude["boat"]
-    assert list(notes_on("boat", table)) == ["[attitude.boat] its 3 antennas are on one line: the tilt about it is not seen"]
+    deployment = parse_deployment(FILE.replace("[0.0, 1.2, 0.0]", "[1.0, 0.0005, 0.0]"), "x.toml")
+    notes = list(notes_on("boat", deployment.attitude["boat"], deployment))
+    assert notes == ["[attitude.boat] its 3 antennas are on one line: the tilt about it is not seen"]
+
+
+def test_a_length_that_a_solver_does_not_know_is_a_note() -> None:
+    deployment = parse_deployment(FILE.replace("baseline_length_m = 2.0", ""), "x.toml")
+    notes = list(notes_on("boat", deployment.attitude["boat"], deployment))
+    assert notes == ["[solver.along] fixes sooner with 'baseline_length_m = 2.000', which [attitude.boat] knows"]
 
 
 @pytest.mark.parametrize("head", ["attitude.boat.antennas", "attitude.calibrated.antennas", "antennas"])

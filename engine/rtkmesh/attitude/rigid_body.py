@@ -170,19 +170,19 @@ class Fit:
         return self.origin_ned_m + arm, jacobian @ self.cov @ jacobian.T
 
 
-def fit(layout: Layout, measured: Measured, start: Matrix | None = None) -> Fit | None:
+def fit(layout: Layout, measured: Measured, start: Matrix | None = None, near: Matrix | None = None) -> Fit | None:
     """Return the rotation (and origin) that fits best; None when what was measured does not see a direction in space.
 
     ``start``: a rotation (3x3) near the answer; without one the SVD gives it. Antennas on one line have an answer, about which the
     body may still turn freely: it is the one next to ``start``, else to level; what the fit says of points off the line is
-    said as if the body did not turn about it.
+    said as if the body did not turn about it. ``near``: a rotation that is nearly the answer (on a line but for the turn about it).
     """
     body = measured.weights @ layout.positions_m
     shape = _directions(body, measured.weights)
     if shape is Shape.POINT or (shape is not Shape.LINE and not _enough(body, measured)):
         return None
     if start is None or shape is not Shape.LINE:
-        start = kabsch(body, measured)
+        start = kabsch(body, measured) if near is None else near
         start = start if shape is not Shape.LINE else _levelled(start, _line(body, measured.weights.sum(axis=1)))
     return _refined(layout, measured, body, shape, start)
 

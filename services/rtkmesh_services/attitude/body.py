@@ -16,6 +16,7 @@ from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.config_attitude import AttitudeTable, ReceiverHeadingTable
+from rtkmesh_services.attitude.geometry import Chosen, Geometry
 from rtkmesh_services.attitude.matching import MatchedEpoch
 from rtkmesh_services.attitude.readings import VIRTUAL_LENGTH_M, Reading, SourceKind, SourceSpec
 
@@ -27,7 +28,7 @@ Matrix = NDArray[np.float64]
 class BodyAttitude:
     """What an epoch gives. ``used`` antennas; ``readings`` that are in it; ``missing`` sources with the reason.
 
-    ``origin_ecef_m`` None: no position; ``ned_from_ecef`` there.
+    ``origin_ecef_m`` None: no position; ``ned_from_ecef`` there. ``chosen``: what the geometry made of the integers, if it was asked.
     """
 
     time: GpsTime
@@ -37,6 +38,7 @@ class BodyAttitude:
     missing: dict[str, str]
     origin_ecef_m: Vector | None
     ned_from_ecef: Matrix | None
+    chosen: Chosen | None = None
 
 
 def specs_of(table: AttitudeTable, deployment: Deployment) -> tuple[SourceSpec, ...]:
@@ -75,6 +77,8 @@ class Body:
         self._false_alarm = table.false_alarm
         self._own_lines = {name: _ends(name, heading) for name, heading in table.headings.items() if not heading.antennas}
         self._specs = {spec.id: spec for spec in specs}
+        self._newest: tuple[list[Edge], Judged] = ([], Judged(None, Finding.NO_ATTITUDE))
+        self.geometry = Geometry(self.layout, radians(table.max_tilt_deg), self._judged) if table.geometry and table.antennas else None
 
     def length_m(self, spec: SourceSpec) -> float:
         """Return the known distance (m) between a source's two ends."""
@@ -82,6 +86,17 @@ class Body:
 
     def attitude(self, epoch: MatchedEpoch) -> BodyAttitude:
         """Return the attitude of an epoch."""
+        chosen = self.choice(epoch)
+        found = self._attitude(epoch if chosen is None else replace(epoch, readings=chosen.readings))
+        if chosen is not None and chosen.suspects and found.judged.fit is not None:
+            found = replace(found, judged=Judged(found.judged.fit, Finding.NOT_IDENTIFIABLE, suspects=chosen.suspects))
+        return replace(found, chosen=chosen)
+
+    def choice(self, epoch: MatchedEpoch) -> Chosen | None:
+        """Return what the geometry makes of an epoch's integers; None where it is not asked."""
+        return self.geometry.chosen(epoch) if self.geometry is not None and epoch.wanted else None
+
+    def _attitude(self, epoch: MatchedEpoch) -> BodyAttitude:
         missing = {name: f"nothing of {name}" for name in epoch.missing}
         missing |= {name: reading.reason for name, reading in epoch.readings.items() if reading.edge is None}
         readings = _without_spares([reading for reading in epoch.readings.values() if reading.edge is not None])
@@ -108,6 +123,12 @@ class Body:
         return BodyAttitude(epoch.time, found, used, tuple(readings), missing, origin, rotation)
 
     def _judged(self, edges: list[Edge]) -> Judged:
+        """Return the attitude of edges; of the same ones again what it was."""
+        if edges != self._newest[0]:
+            self._newest = (edges, self._judged_anew(edges))
+        return self._newest[1]
+
+    def _judged_anew(self, edges: list[Edge]) -> Judged:
         if not edges:
             return Judged(None, Finding.NO_ATTITUDE)
         try:

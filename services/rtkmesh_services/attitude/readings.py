@@ -28,6 +28,7 @@ class SourceKind(StrEnum):
     BASELINE = "baseline"
     POSITION = "position"
     HEADING = "heading"
+    GEOMETRY = "geometry"  # a baseline whose integers were chosen together with those of others
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,9 @@ class SourceSpec:
 class Reading:
     """One message of a source. ``edge`` None: it says nothing now, and ``reason`` why. Of a position the vector is ECEF.
 
+    ``candidates_follow``: those of its integers; ``chosen``: its integers are of the geometry, not of its solver; ``solution``: what it
+    was read from.
+
     ``time`` is the tag, ``clock_s`` by how much the receiver's clock was ahead when it measured: the instant is ``time`` minus that.
     """
 
@@ -58,6 +62,14 @@ class Reading:
     received_mono_ns: int = 0
     velocity_ecef_mps: tuple[float, float, float] = field(default=(nan, nan, nan))
     clock_s: float = 0.0
+    candidates_follow: bool = False
+    chosen: bool = False
+    solution: SolutionMessage | None = None
+
+    @property
+    def kind(self) -> SourceKind:
+        """What it is as part of an attitude."""
+        return SourceKind.GEOMETRY if self.chosen else self.source.kind
 
 
 def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: bool) -> Reading:
@@ -69,7 +81,7 @@ def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: b
         edge, reason = None, f"{source.id} fails its integrity test: {message.integrity_reason}"
     return Reading(
         source=source,
-        time=_time(message.week, message.tow_s),
+        time=time_of(message.week, message.tow_s),
         edge=edge,
         reason=reason,
         status=message.status,
@@ -77,6 +89,8 @@ def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: b
         age_s=message.age_s,
         received_mono_ns=message.received_mono_ns,
         velocity_ecef_mps=message.velocity_ecef_mps,
+        solution=message,
+        candidates_follow=message.candidates and source.kind is SourceKind.BASELINE,
         clock_s=message.receiver_clock_s if abs(message.receiver_clock_s) < LARGEST_CLOCK_S else 0.0,
     )
 
@@ -92,7 +106,7 @@ def of_heading(source: SourceSpec, message: HeadingMessage, length_m: float, uns
     edge = _line(source, source.heading, message, length_m, unseen_sigma_rad) if message.valid and isfinite(message.heading_rad) else None
     return Reading(
         source=source,
-        time=_time(*message.time),
+        time=time_of(*message.time),
         edge=edge,
         reason="" if edge is not None else f"{source.id} has no heading ({message.message} {message.solution})".replace(" )", ")"),
         status=FLOAT if message.solution == "float" else FIX,
@@ -101,7 +115,8 @@ def of_heading(source: SourceSpec, message: HeadingMessage, length_m: float, uns
     )
 
 
-def _time(week: int, tow_s: float) -> GpsTime:
+def time_of(week: int, tow_s: float) -> GpsTime:
+    """Return a time; DecodeError for what is none."""
     if not (0 <= week < 10000 and 0.0 <= tow_s < 604800.0):
         raise DecodeError(f"{week} {tow_s} is no GPS time")
     return GpsTime(week, tow_s)

@@ -26,10 +26,20 @@ def check_attitude(reader: Faults, id: str, table: AttitudeTable, deployment: De
         reader.fault(("attitude", id, *path), f"[attitude.{id}] {message}")
 
 
-def notes_on(id: str, table: AttitudeTable) -> Iterator[str]:  # noqa: A002
-    """Yield what is no fault, and worth to know, of a table's antennas."""
+def notes_on(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[str]:  # noqa: A002
+    """Yield what is no fault, and worth to know, of a table's antennas and solvers."""
+    for name in (*((table.solver,) if table.solver else ()), *table.solvers):
+        solver = deployment.solver.get(name)
+        if solver is not None and solver.baseline_length_m is None and (length_m := _known_length_m(table, solver)) is not None:
+            yield f"[solver.{name}] fixes sooner with 'baseline_length_m = {length_m:.3f}', which [attitude.{id}] knows"
     if len(table.antennas) > 2 and on_one_line([antenna.position_m for antenna in table.antennas.values()]):
         yield f"[attitude.{id}] its {len(table.antennas)} antennas are on one line: the tilt about it is not seen"
+
+
+def _known_length_m(table: AttitudeTable, solver: SolverTable) -> float | None:
+    """Return the length (m) of a solver's baseline that its attitude knows."""
+    ends = [table.antennas[name].position_m for name in (solver.base, solver.rover) if name in table.antennas]
+    return dist(*ends) if len(ends) == 2 else table.length_m
 
 
 def on_one_line(places: Sequence[Place]) -> bool:
