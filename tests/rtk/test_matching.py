@@ -65,3 +65,11 @@ def test_groups_and_keys_follow_content():
     assert len(set(pairs.key.tolist())) == len(pairs.key)
     empty = epoch()
     assert len(matched(rover, empty)[1].key) == 0
+
+
+def test_geostationary_satellites_of_beidou_have_clocks_of_their_own():
+    """Their phases can be half a cycle off those of the others; C05 and C59 are geostationary, C06 and C58 are not, nor is G05."""
+    rows = ("G05 1C", "G06 1C", "C05 2I", "C06 2I", "C58 2I", "C59 2I")
+    _, pairs = matched(epoch(*rows), epoch(*rows))
+    assert pairs.groups == 3
+    assert list(pairs.group) == [0, 0, 2, 1, 1, 2]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
-from rtkmesh.gnss.signals import BEIDOU, GLONASS, SBAS
+from rtkmesh.gnss.signals import GLONASS, SBAS
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.filter import predict_motion, reset_state
 from rtkmesh.rtk.residuals import BASE_PHASE, CHANNEL, CODE, ELEVATION_RAD, PHASE, ROVER_PHASE, WAVELENGTH, Differences
@@ -267,12 +267,11 @@ def find_candidates(
 ) -> Candidates:
     """Return the ambiguities of this epoch that may become integers.
 
-    Geostationary BeiDou satellites and SBAS have none: their multipath does not average out.
+    SBAS satellites have none.
     """
     chosen, count = np.empty(len(layout.ambiguity), np.int64), 0
     for k in range(len(chosen)):
-        system, number = int(d.pairs.satellite[k]) // 64, int(d.pairs.satellite[k]) % 64
-        if system == SBAS or (system == BEIDOU and (number <= 5 or number >= 59)):
+        if int(d.pairs.satellite[k]) // 64 == SBAS:
             continue
         usable = phase_used[k] and layout.ambiguity[k] >= 0 and d.table[k, ELEVATION_RAD] >= mask_rad
         if usable and f.history[layout.ambiguity[k], ARC_EPOCHS] > least_epochs:

@@ -37,9 +37,9 @@ class CandidateTable:
 
     Columns: satellite and signal numbers (rover's and base's) of each ambiguity, sorted. ``integers`` (m, p) are single differences
     (cycles); of each system and pair of signals the one of the reference is 0. ``count`` is the number of double differences.
-    ``baselines_ecef_m`` (m, 3) is rover minus base under each; ``cov_ecef_m2`` (3, 3) its covariance, the same for all. ``norms`` (m)
-    are squared norms against the float ambiguities; ``beyond`` is the least squared norm of what is not in the table (with a known
-    length: with its misfit).
+    ``baselines_ecef_m`` (m, 3) is rover minus base under each; ``cov_ecef_m2`` (3, 3) its covariance by the filter, the same for all
+    (a fix publishes a smaller one). ``norms`` (m) are squared norms against the float ambiguities; ``beyond`` is the least squared norm
+    of what is not in the table (with a known length: with its misfit).
     """
 
     satellite: NDArray[np.int16]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Signals
-from rtkmesh.gnss.signals import ATTRIBUTES, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
+from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
 
 Vector = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -35,6 +35,7 @@ _FAMILIES: Final = {
 
 _ZERO: Final = cast("int", np.int64(0))  # a literal as argument makes numba compile the callee once more
 _LAST = 99  # rank and family of an attribute that the tables do not name
+_STANDING = len(SYSTEMS)  # added to the system of geostationary satellites, so that their groups are others
 
 
 def _tables() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -245,14 +246,24 @@ def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int6
 
 
 @kernel
+def is_geostationary(number: int) -> bool:
+    """Return whether this is the number of a geostationary satellite of BeiDou (BDS-SIS-ICD B1I 3.0, 3.1)."""
+    return number // 64 == BEIDOU and (number % 64 <= 5 or number % 64 >= 59)
+
+
+@kernel
 def _keys(count: int, satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16], table: Indices) -> int:
-    """Write the key and the clock group of each pair; return the number of groups (numbered in the order of their content)."""
+    """Write the key and the clock group of each pair; return the number of groups (numbered in the order of their content).
+
+    BeiDou's geostationary satellites have a clock of their own: between receivers of two makes their phases can be half a cycle off those
+    of the others (Nadarajah, Teunissen and Raziq 2013, Sensors 13(7)).
+    """
     kind, kinds, groups = np.empty(count, np.int64), np.empty(count, np.int64), 0
     for k in range(count):
         signals = int(rover_signal[table[ROVER, k]]) * 512 + int(base_signal[table[BASE, k]])
         number = int(satellite[k])
         table[KEY, k] = number * 262144 + signals
-        kind[k] = (number // 64) * 262144 + signals
+        kind[k] = (number // 64 + (_STANDING if is_geostationary(number) else 0)) * 262144 + signals
         place = 0
         while place < groups and kinds[place] < kind[k]:
             place += 1

@@ -12,11 +12,13 @@ from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
+from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, begin_informed, settle
 from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE, SLOPE_SIGMA, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
+from rtkmesh.rtk.published import fix_covariance
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.slips import SlipSetup
@@ -92,7 +94,7 @@ class Known(NamedTuple):
 
 class Solved(NamedTuple):
     """What came of a pair of epochs: SOLVED, FEW_COMMON or NOT_FINITE; the filter and the informed one; dynamic states and their
-    covariance; the row of figures and the satellite table as ``report`` has them.
+    covariance; the row of figures and the satellite table as ``report`` has them; the covariance of the position that is published.
     """
 
     status: int
@@ -102,6 +104,7 @@ class Solved(NamedTuple):
     P: Matrix
     figures: Vector
     satellites: Matrix
+    position_cov_m2: Matrix
 
 
 @kernel
@@ -154,7 +157,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     """Return the relative solution of single differences: the steps of an epoch."""
     figures, time_s, model_ecef_m = np.zeros(FIGURES), known.times_s[0], known.base_ecef_m + before.x[:3]
     if distinct(d.pairs.satellite, np.isfinite(d.table[:, CODE])) < 4:
-        return Solved(FEW_COMMON, before, informed, before.x, before.P, figures, np.zeros((0, 0)))
+        return Solved(FEW_COMMON, before, informed, before.x, before.P, figures, np.zeros((0, 0)), before.P)
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     atmosphere, walks = 2 if length_m > LONG_BASELINE_M else 0, walks_of(setup, length_m, known.memory)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
@@ -163,9 +166,10 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     if not outcome.ok or not is_finite(f.x, f.P):
-        return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)))
+        return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
     remember(f, d, layout, outcome.phase_used, time_s)
-    resolution = not_resolved()
+    float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, time_s - known.times_s[2], model_ecef_m)
+    resolution, sure = not_resolved(), False
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         confirmed = known.memory[CONFIRMED]
@@ -181,7 +185,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
             if len(informed.keys) > 0:  # the rover has come near
                 informed, known.memory[INFORMED] = begin_informed(f), 0.0
         note_agreement(known.memory, confirmed, time_s)
-        if resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE):
+        sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
+        if sure:
             squares = (outcome.phase_chi2 + norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     if resolution.fixed:
@@ -196,8 +201,12 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     describe_guard(guarded, resolution.odds, figures)
     satellites = describe_pairs(f, d, layout, outcome, resolution.fixed, time_s)
     if not resolution.fixed:
-        return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), f.P[:DYNAMIC, :DYNAMIC].copy(), figures, satellites)
-    return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites)
+        P = f.P[:DYNAMIC, :DYNAMIC].copy()
+        return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), P, figures, satellites, float_scale * P[:3, :3])
+    published = resolution.P
+    if len(informed.keys) == 0:
+        published = fix_covariance(f, d, layout, outcome, resolution.P, known.scale, sure, known.base_ecef_m, modelled_m)
+    return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published)
 
 
 @kernel

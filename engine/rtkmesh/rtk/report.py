@@ -114,7 +114,7 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
     """Return the relative solution: fixed where the resolution says so, else float, else differential code."""
     x, P, numbers = solved.x, solved.P, solved.figures.tolist()
     status = Status.FIX if numbers[IS_FIXED] else (Status.FLOAT if numbers[PHASES] >= 4 else Status.DGPS)
-    covariance = P[:3, :3].copy()
+    covariance = solved.position_cov_m2[:3, :3].copy()
     motion = _motion(single, x, P, around)
     integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
     return Solution(

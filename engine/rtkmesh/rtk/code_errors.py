@@ -1,0 +1,93 @@
+"""What float ambiguities have taken from the codes' errors, and so by how much the filter misjudges a float solution.
+
+A float solution is off by what its ambiguities took from codes, and code multipath lasts for minutes: averaging helps less, or (on the
+move) more, than the filter thinks, who inflates the codes of every receiver alike. The codes' own position of an epoch has residuals that
+no ambiguity has swallowed. Each ambiguity keeps their mean as the filter averages codes into it, with the variance that the filter believes
+it to have by then. Were the filter right, the squares of these means over their variances would add up to the redundancy of the codes.
+
+GLONASS has no say: its codes are shifted by channel between makes, a lasting error that its learned noise keeps out of the position.
+"""
+
+from math import isfinite
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.rtk.noise import code_factors
+from rtkmesh.rtk.residuals import WAVELENGTH, Differences
+from rtkmesh.rtk.separation import CLOCK, RANGE, UNKNOWNS, Epochwise, Ranges, code_ranges, solve_epoch
+from rtkmesh.rtk.state import ARC_EPOCHS, TAKEN_M, TAKEN_M2, Filter
+from rtkmesh.rtk.update import Layout, Update
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+# What the variance of floats is multiplied by before codes have shown anything, and what that is worth in degrees of freedom. Simulated
+# runs ask for 0.05 to 0.15, recordings for 0.6 to 6: a mean of minutes is one sample of few degrees, so the start counts for some.
+PRIOR: Final = 0.25
+PRIOR_DOF: Final = 3.0
+LEAST: Final = 0.05
+MOST: Final = 20.0
+
+
+@kernel
+def float_factor(
+    f: Filter, d: Differences, layout: Layout, update: Update, scale: Matrix, walk_cyc: float, step_s: float, rover_ecef_m: Vector
+) -> float:
+    """Let the ambiguities take this epoch's code residuals; return the factor of the float position's variance, 1 where codes do not say.
+
+    ``walk_cyc`` is the filter's random walk of ambiguities (per square root of second), ``step_s`` the time since the last epoch (NaN:
+    none); the differences were modelled for ``rover_ecef_m``.
+    """
+    geodetic = geodetic_from_ecef(rover_ecef_m)
+    turn, factors = enu_from_ecef(geodetic[0], geodetic[1]), code_factors(scale, np.zeros((2, scale.shape[1])))
+    codes = code_ranges(d, update.code_used, factors, turn)
+    epoch = solve_epoch(codes)
+    if not epoch.solved:
+        return 1.0
+    squares, count, judged = 0.0, 0, np.zeros(codes.groups, np.bool_)
+    for k in range(len(codes.weight)):
+        if not codes.weight[k] > 0.0 or layout.ambiguity[k] < 0 or d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
+            continue
+        row, walk_m = f.history[layout.ambiguity[k]], walk_cyc * d.table[k, WAVELENGTH]
+        take(row, residual(codes, epoch, k), layout.code_inflation[k] / codes.weight[k], walk_m * walk_m * step_s)
+        squares += row[TAKEN_M] ** 2 / row[TAKEN_M2]
+        count += 1
+        judged[codes.group[k]] = True
+    redundancy = count - np.count_nonzero(judged) - UNKNOWNS
+    return factor_of(squares, float(redundancy)) if redundancy > 0 else 1.0
+
+
+@kernel
+def residual(ranges: Ranges, epoch: Epochwise, k: int) -> float:
+    """Return the residual (m) of a range against its epoch's own position and clock."""
+    sums, row = epoch.sums[ranges.group[k]], ranges.rows[k]
+    value = row[RANGE] - sums[RANGE, CLOCK] / sums[CLOCK, CLOCK]
+    for i in range(UNKNOWNS):
+        value -= epoch.place[i] * (row[i] - sums[i, CLOCK] / sums[CLOCK, CLOCK])
+    return value
+
+
+@kernel
+def take(row: Vector, residual_m: float, variance_m2: float, grown_m2: float) -> None:
+    """Average a code residual into what an ambiguity has taken, as the filter does; a new ambiguity takes all of it."""
+    if row[ARC_EPOCHS] <= 1.0 or not isfinite(row[TAKEN_M2] + grown_m2):
+        row[TAKEN_M], row[TAKEN_M2] = residual_m, variance_m2
+        return
+    believed = row[TAKEN_M2] + grown_m2
+    gain = believed / (believed + variance_m2)
+    row[TAKEN_M] += gain * (residual_m - row[TAKEN_M])
+    row[TAKEN_M2] = (1.0 - gain) * believed
+
+
+@kernel
+def factor_of(squares: float, dof: float) -> float:
+    """Return the expected factor: of a variance that is known from squares with so many degrees of freedom, 1 / variance is larger by
+    dof / (dof - 2).
+    """
+    raw = (PRIOR_DOF * PRIOR + squares) / max(PRIOR_DOF + dof - 2.0, 1.0)
+    return min(max(raw, LEAST), MOST)

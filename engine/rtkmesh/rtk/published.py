@@ -1,0 +1,78 @@
+"""Covariances as they are published: docs/concepts/engine.md says what they were measured against.
+
+What the filter says of a fix is meant for validation: its phase factor is raised by floats that disagree with integers, so that these are
+not believed too soon. A fix is as good as its phases are with integers in them: their residuals, without a float anywhere, say how good.
+"""
+
+from math import sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh.rtk.noise import PHASE, phase_factor
+from rtkmesh.rtk.residuals import Differences
+from rtkmesh.rtk.separation import phase_ranges, solve_epoch
+from rtkmesh.rtk.state import Filter
+from rtkmesh.rtk.update import Layout, Update
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+# Columns of the phases' row of the noise memory that belong to fixes: squared residuals for a factor of 1 and their degrees of freedom.
+FIX_SQUARES, FIX_DOF = 2, 3
+PRIOR: Final = 0.03  # variance factor before anything was seen: 0.04 (stromlo) to 0.3 (M8P) on recordings, 0.02 to 0.07 in simulation
+PRIOR_DOF: Final = 2.0  # what that is worth: less than an epoch
+MEMORY_DOF: Final = 500.0  # some tens of epochs; multipath changes within minutes (2000: galway_a_glw1 1.54 instead of 1.39)
+LEAST: Final = 0.005  # 0.4 mm per receiver at the zenith: no better phases exist
+MOST: Final = 4.0  # as the filter's own
+# How much of what a fix owes to earlier epochs, by ambiguities that are not held, counts: the filter takes multipath of successive epochs
+# for independent. 1: galway_a_glw1 2.1 and stromlo_l12 1.9; 0: simulated runs 0.69.
+FILTER_SHARE: Final = 0.4
+# What satellites do not show against each other because it is smooth over the sky: gradients of ionosphere and troposphere. Simulated runs
+# and kanagawa_60s (5.3 km: 3.3 mm) show 0.3 and 1 mm per km; of the filter's own terms the factor takes most.
+SMOOTH_HORIZONTAL: Final = 0.35e-6
+SMOOTH_VERTICAL: Final = 1.5e-6
+
+
+@kernel
+def learn_fix(scale: Matrix, squares: float, dof: float) -> None:
+    """Take in squared phase residuals of one epoch's position with integers, normalised for a factor of 1, and their degrees of freedom."""
+    squares, dof = scale[PHASE, FIX_SQUARES] + squares, scale[PHASE, FIX_DOF] + dof
+    shrink = min(1.0, MEMORY_DOF / max(dof, 1.0))
+    scale[PHASE, FIX_SQUARES], scale[PHASE, FIX_DOF] = squares * shrink, dof * shrink
+
+
+@kernel
+def fix_factor(scale: Matrix) -> float:
+    """Return the variance factor of the phases of fixes."""
+    raw = (PRIOR_DOF * PRIOR + scale[PHASE, FIX_SQUARES]) / (PRIOR_DOF + scale[PHASE, FIX_DOF])
+    return min(max(raw, LEAST), MOST)
+
+
+@kernel
+def fix_covariance(
+    f: Filter, d: Differences, layout: Layout, update: Update, P: Matrix, scale: Matrix, sure: bool, base_ecef_m: Vector, modelled_m: Vector
+) -> Matrix:
+    """Return the covariance (m2, ECEF) of a fix that ``P`` is the filter's for; learn from its residuals if it is ``sure``.
+
+    ``modelled_m`` is the baseline (ECEF) that the differences were modelled for.
+    """
+    geodetic, filters = geodetic_from_ecef(base_ecef_m + modelled_m), phase_factor(scale)
+    turn = enu_from_ecef(geodetic[0], geodetic[1])
+    epoch = solve_epoch(phase_ranges(f, d, layout, update.phase_used, 1.0, turn))
+    if sure and epoch.dof > 0:
+        learn_fix(scale, epoch.chi2, float(epoch.dof))
+    factor, share = fix_factor(scale), FILTER_SHARE if epoch.solved else 1.0
+    length_m, out = sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2), np.empty((3, 3))
+    smooth = ((SMOOTH_HORIZONTAL * length_m) ** 2, (SMOOTH_HORIZONTAL * length_m) ** 2, (SMOOTH_VERTICAL * length_m) ** 2)
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = factor * share * P[i, j] / filters
+            for a in range(3):
+                out[i, j] += turn[a, i] * smooth[a] * turn[a, j]
+                for b in range(3):
+                    out[i, j] += factor * (1.0 - share) * turn[a, i] * epoch.cov[a, b] * turn[b, j]
+    return out

@@ -1,0 +1,56 @@
+"""What scales published covariances: closed forms, and the shadow of a filter's ambiguity on drawn codes."""
+
+import numpy as np
+import pytest
+
+from rtkmesh.rtk import code_errors, published
+from rtkmesh.rtk.noise import PHASE, new_code_scale, phase_factor
+from rtkmesh.rtk.state import ARC_EPOCHS, HISTORY, TAKEN_M, TAKEN_M2
+
+
+def test_the_factor_of_fixes_is_that_of_their_residuals_and_touches_no_other():
+    """Drawn for a factor of 0.1 it is found; the factor that validation uses knows nothing of it."""
+    scale, rng = new_code_scale(), np.random.default_rng(3)
+    assert published.fix_factor(scale) == pytest.approx(published.PRIOR)
+    for _ in range(200):
+        published.learn_fix(scale, 0.1 * rng.chisquare(10), 10.0)
+    assert published.fix_factor(scale) == pytest.approx(0.1, rel=0.2)
+    assert scale[PHASE, published.FIX_DOF] == pytest.approx(published.MEMORY_DOF)
+    assert phase_factor(scale) == 1.0
+
+
+def test_the_factor_of_fixes_has_bounds():
+    """Residuals of none and of metres."""
+    scale = new_code_scale()
+    for squares, bound in ((0.0, published.LEAST), (1e9, published.MOST)):
+        for _ in range(100):
+            published.learn_fix(scale, squares, 100.0)
+        assert published.fix_factor(scale) == bound
+
+
+def test_what_an_ambiguity_takes_is_the_weighted_mean():
+    """Of constant variance without growth: the plain mean, and its variance."""
+    row, codes = np.full(HISTORY, np.nan), np.random.default_rng(4).normal(0.0, 0.5, 50)
+    for k, code in enumerate(codes):
+        row[ARC_EPOCHS] = k + 1.0
+        code_errors.take(row, code, 0.25, 0.0)
+    assert row[TAKEN_M] == pytest.approx(codes.mean())
+    assert row[TAKEN_M2] == pytest.approx(0.25 / 50)
+
+
+def test_an_ambiguity_that_begins_anew_takes_the_whole_code():
+    row = np.full(HISTORY, np.nan)
+    row[ARC_EPOCHS], row[TAKEN_M], row[TAKEN_M2] = 1.0, 3.0, 0.01
+    code_errors.take(row, -1.0, 0.25, 0.1)
+    assert (row[TAKEN_M], row[TAKEN_M2]) == (-1.0, 0.25)
+
+
+def test_the_factor_of_floats_is_one_where_means_are_what_the_filter_believes():
+    """Drawn with the believed variance the mean of error squared over variance is 1, however few the degrees of freedom but for the
+    start; codes that last (means four times as large as believed) give 16.
+    """
+    rng = np.random.default_rng(5)
+    assert np.mean([1.0 / code_errors.factor_of(rng.chisquare(40), 40.0) for _ in range(4000)]) == pytest.approx(1.0, abs=0.1)
+    assert code_errors.factor_of(16.0 * 40, 40.0) == pytest.approx(16.0, rel=0.1)
+    assert code_errors.factor_of(0.0, 1000.0) == code_errors.LEAST
+    assert code_errors.factor_of(1e9, 10.0) == code_errors.MOST
