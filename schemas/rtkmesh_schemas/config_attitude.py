@@ -91,7 +91,7 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     ``false_alarm``: probability per epoch to find a fault where there is none. ``unseen_tilt_deg``: one sigma of the tilt
     about antennas on one line, which they do not see. ``geometry``: known places (or ``length_m``) decide between the candidate integers of
     baselines that are not fixed, or contradict each other; on, because it costs a millisecond and single epochs of one frequency have
-    attitudes by it, none of them wrong in benchmarks/attitude_search.py. ``max_tilt_deg``: the vehicle is never further from level,
+    attitudes by it, wrong with no more than the failure rate (1 %; in benchmarks/attitude_search.py none was). ``max_tilt_deg``: the vehicle is never further from level,
     which helps that choice. ``points``: places of the vehicle whose position is published.
     """
 

@@ -1,7 +1,7 @@
 """Integers of several baselines together: all combinations by hand, invariants, closed forms, simulated truth, closure."""
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import combinations, product
 from math import log, radians
 
 import numpy as np
@@ -47,6 +47,7 @@ def by_hand(tables: list[Candidates], share: float) -> list[tuple[float, tuple[i
 
 @pytest.mark.parametrize(("pairs", "count", "share"), [
     (((0, 1),), 12, 1.0), (((0, 1), (2, 3)), 5, 1.0), (STAR3, 6, 2.0 / 3.0), (TRIANGLE, 4, 2.0 / 3.0), (STAR4, 3, 0.5),
+    (tuple(combinations(range(4), 2)), 2, 0.5), (((1, 0), (0, 2), (2, 1)), 4, 2.0 / 3.0),
 ])  # fmt: skip
 @pytest.mark.parametrize("seed", range(3))
 def test_branch_and_bound_finds_what_trying_all_combinations_finds(
