@@ -39,6 +39,10 @@ class AttitudeMessage(Wire, frozen=True, kw_only=True):
     ``points``: of the body. ``predicted_s``: since the last measurement, of the filter's. ``waited_ms``: from the arrival of the
     last source of the epoch to the publication; ``resets`` of the filter. ``geometry``: what became of the choice of integers by the
     known places (accepted, or why not; empty: it was not needed) and the probability that what was accepted is wrong.
+
+    ``protection_rad``: heading, pitch and roll are further off than these with the configured risk, by what docs/concepts/rigid-body.md
+    assumes; infinite: nothing bounds the error; NaN: not seen, or not of an epoch (the filter's). ``protection_open``: antennas whose fault
+    no other would show.
     """
 
     source: str
@@ -81,6 +85,8 @@ class AttitudeMessage(Wire, frozen=True, kw_only=True):
     resets: int = 0
     geometry: str = ""
     geometry_wrong_probability: float = NAN
+    protection_rad: Vector = NAN3
+    protection_open: list[str] = []
 
 
 class HeadingMessage(Wire, frozen=True, kw_only=True):

@@ -17,11 +17,13 @@ Ids = Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=64)], ...], M
 class AntennaPlaceTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude.ID.antennas.NAME]``: where the antenna of ingest NAME is in the vehicle: forward, right, down from its origin, m.
 
-    ``sigma_m``: how well that is known, one number or three.
+    ``sigma_m``: how well that is known, one number or three. ``covariance_m2``: instead, as ``rtkmesh antennas calibrate`` writes it, the
+    covariance (3x3, row-major) with itself and with antennas named before it; it counts between antennas that both have one.
     """
 
     position_m: Place
     sigma_m: float | tuple[float, float, float] = 0.0  # bounds are checked by the shell: msgspec 0.22 mixes those of a union up
+    covariance_m2: dict[str, tuple[Metres, Metres, Metres, Metres, Metres, Metres, Metres, Metres, Metres]] = {}
 
     @property
     def sigmas_m(self) -> Place:
@@ -77,6 +79,20 @@ class AttitudeFilterTable(Table, frozen=True, kw_only=True, forbid_unknown_field
     max_coast_s: Annotated[float, Meta(gt=0.0, le=3600.0)] = 10.0
 
 
+class AttitudeIntegrityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.integrity]``: protection levels. ``risk``: probability per epoch that an angle is further off than its level.
+
+    ``antenna_fault``: prior probability per epoch that what one antenna measures is off by more than its sigmas say, beside wrong integers,
+    whose probability the solvers tell. An attitude with levels above ``alert_heading_deg`` or ``alert_tilt_deg`` (pitch and roll) is
+    ``unavailable``.
+    """
+
+    risk: Annotated[float, Meta(ge=1e-12, le=0.1)] = 1e-5
+    antenna_fault: Annotated[float, Meta(ge=0.0, le=0.5)] = 1e-4
+    alert_heading_deg: Annotated[float, Meta(gt=0.0, le=180.0)] | None = None
+    alert_tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)] | None = None
+
+
 class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude.ID]``: heading, pitch and roll of a vehicle from its antennas.
 
@@ -114,6 +130,7 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     unseen_tilt_deg: Annotated[float, Meta(ge=0.1, le=90.0)] = 10.0
     geometry: bool = True
     max_tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 180.0
+    integrity: AttitudeIntegrityTable = AttitudeIntegrityTable()
     imu: ImuTable | None = None
     filter: AttitudeFilterTable | None = None
 

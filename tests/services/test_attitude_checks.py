@@ -2,9 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh_schemas.errors import ConfigError
+from rtkmesh_services.attitude.body import layout_of
+from rtkmesh_services.cli.antenna_layouts import layout_toml, read_layouts
 from rtkmesh_services.runtime.attitude_checks import notes_on
 from rtkmesh_services.runtime.configuration import load_deployment, parse_deployment
 
@@ -92,6 +96,35 @@ def test_a_layout_file_has_the_places(tmp_path: Path, head: str) -> None:
     (tmp_path / "x.toml").write_text(kept.replace('positions = ["place"]', 'positions = ["place"]\nlayout = "layout.toml"') + own)
     antennas = load_deployment(tmp_path / "x.toml").attitude["boat"].antennas
     assert {name: place.position_m[:2] for name, place in antennas.items()} == {"rear": (0, 0), "front": (2, 0), "right": (0, 1.2)}
+
+
+def test_the_covariance_of_a_layout_file_is_that_of_the_service(tmp_path: Path) -> None:
+    """A calibrated layout keeps what its antennas have in common on its way through the files into the rigid body."""
+    root = np.random.default_rng(1).normal(0.0, 2e-3, (9, 9))
+    known = Layout(("rear", "front", "right"), np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.2, 0.0]]), root @ root.T)
+    (tmp_path / "layout.toml").write_text(layout_toml(known, "boat", ["calibrated"]))
+    kept = FILE[: FILE.index("[attitude.boat.antennas]")]
+    (tmp_path / "x.toml").write_text(kept.replace('positions = ["place"]', 'positions = ["place"]\nlayout = "layout.toml"'))
+    found = layout_of(load_deployment(tmp_path / "x.toml").attitude["boat"])
+    assert found.cov_m2 is not None
+    np.testing.assert_allclose(found.cov_m2, root @ root.T, atol=1e-8)
+    again = read_layouts(tmp_path / "layout.toml")["boat"].cov_m2
+    np.testing.assert_allclose(again, found.cov_m2)  # pyright: ignore[reportArgumentType]  it has one
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ("{ frond = [0, 0, 0, 0, 0, 0, 0, 0, 0] }", "covariance_m2 of 'rear' with 'frond', which is none; did you mean 'front'"),
+        ("{ rear = [-1e-6, 0, 0, 0, 1e-6, 0, 0, 0, 1e-6] }", "covariance_m2 of 'rear' has negative variances"),
+        ("{ rear = [1e-6, 2e-6, 0, 2e-6, 1e-6, 0, 0, 0, 1e-6] }", "covariance_m2 of 'rear' with 'rear' is larger than their variances"),
+        ("{ rear = [1e-6, 0, 0] }", "covariance_m2"),
+    ],
+)
+def test_covariances_that_are_none_are_told(told: str, expected: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_deployment(FILE.replace("sigma_m = 0.002", f"covariance_m2 = {told}", 1), "x.toml")
+    assert expected in str(caught.value)
 
 
 def test_a_fault_of_a_layout_file_names_that_file(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude.integrity import Finding, Judged, judged
 from rtkmesh.attitude.joint import Edge, joint, length_m
+from rtkmesh.attitude.layout_covariance import joint_covariance
 from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.attitude.rotation import NED_FROM_ENU
 from rtkmesh.gnss.frames import enu_from_ecef_at
@@ -61,9 +62,10 @@ def layout_of(table: AttitudeTable) -> Layout:
         if not heading.antennas:
             start, end = _ends(name, heading)
             places[start], places[end] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (_direction(heading), (0.0, 0.0, 0.0))
-    sigmas = np.array([sigma for _, sigma in places.values()]).ravel()
+    blocks = {name: antenna.covariance_m2 for name, antenna in table.antennas.items()}
+    cov = joint_covariance({name: sigmas for name, (_, sigmas) in places.items()}, blocks)
     positions = np.array([place for place, _ in places.values()], dtype=np.float64).reshape(-1, 3)
-    return Layout(tuple(places), positions, np.diag(sigmas**2) if np.any(sigmas > 0.0) else None)
+    return Layout(tuple(places), positions, cov)
 
 
 class Body:
@@ -164,11 +166,11 @@ def _in_ned(readings: list[Reading], time: GpsTime) -> tuple[list[Reading], Vect
 
 
 def _moved(reading: Reading, time: GpsTime, origin: Vector, rotation: Matrix) -> Reading:
-    """Return a position about the origin, where it was at the epoch's time: receivers' time tags differ by up to a millisecond."""
+    """Return a position about the origin, where it was at the epoch's time: receivers' tags and clocks differ by up to a millisecond."""
     if reading.source.kind is not SourceKind.POSITION or reading.edge is None:
         return reading
     velocity = np.array(reading.velocity_ecef_mps)
-    moved = velocity * (time - reading.time) if np.isfinite(velocity).all() else np.zeros(3)
+    moved = velocity * (time - reading.time + reading.clock_s) if np.isfinite(velocity).all() else np.zeros(3)
     return replace(reading, edge=replace(reading.edge, vector_ned_m=rotation @ (reading.edge.vector_ned_m + moved - origin)))
 
 

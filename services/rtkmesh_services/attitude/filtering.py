@@ -11,7 +11,7 @@ from rtkmesh.attitude.filter_options import Estimate, FilterOptions, Kind, Trust
 from rtkmesh.attitude.heading_filter import filter_of
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh_schemas.attitude import NAN4, NAN9, AttitudeMessage
+from rtkmesh_schemas.attitude import NAN3, NAN4, NAN9, AttitudeMessage
 from rtkmesh_schemas.config_attitude import AttitudeFilterTable, AttitudeTable
 from rtkmesh_schemas.errors import DecodeError
 from rtkmesh_services.attitude.body import BodyAttitude
@@ -60,6 +60,7 @@ class Filtering:
         estimate = self._filter.predicted(time)
         fields = _known(estimate, self._unseen_rad) if estimate.ned_from_body is not None else _unknown(estimate)
         told: dict[str, Any] = {"week": time.week, "tow_s": time.tow_s, "predicted_s": estimate.age_s, "resets": self.resets, "points": {}}
+        told |= {"protection_rad": NAN3, "protection_open": []}
         return msgspec.structs.replace(epoch, **(told | fields | identity))
 
     def _counted(self, what: str, update: Update) -> Update:

@@ -134,7 +134,7 @@ class Geometry:
             if _is_fixed(reading):
                 self.counts["fixes_overruled"] += 1
                 notes.append(f"{reading.source.id} was fixed elsewhere")
-            edge = Edge(reading.source.start, reading.source.end, vector, table.cov_ned_m2)
+            edge = Edge(reading.source.start, reading.source.end, vector, table.cov_ned_m2, wrong=choice.wrong_probability)
             found[reading.source.id] = replace(reading, edge=edge, reason="", status=FIX, status_name="FIX", chosen=True)
         return Chosen(found, choice.verdict.value, choice.wrong_probability, notes=tuple(notes))
 

@@ -38,21 +38,27 @@ def body_of_length(table: AttitudeTable, spec: SourceSpec) -> Body | None:
     return Body(msgspec.structs.replace(table, antennas={spec.start: start, spec.end: end}), (spec,))
 
 
+def chosen_solution(reading: Reading, chosen: Chosen | None) -> SolutionMessage:
+    """Return the solution that a reading is of, with the baseline that the known length chose."""
+    assert reading.solution is not None, "it is of a solver"
+    if not reading.chosen or reading.edge is None or chosen is None:
+        return reading.solution
+    return msgspec.structs.replace(
+        reading.solution, status=reading.status, status_name=reading.status_name, reason="", integrity="", integrity_reason="",
+        baseline_enu_m=tuple((NED_FROM_ENU @ reading.edge.vector_ned_m).tolist()),
+        baseline_cov_enu_m2=tuple((NED_FROM_ENU @ reading.edge.cov_m2 @ NED_FROM_ENU).ravel().tolist()),
+        fix_probability=1.0 - chosen.wrong_probability,
+    )  # fmt: skip
+
+
 def chosen_message(
     reading: Reading, chosen: Chosen | None, table: AttitudeTable, mounting: Mounting, identity: dict[str, Any]
 ) -> AttitudeMessage:
     """Return the attitude of the solution that a reading is of, with the baseline that the known length chose."""
-    assert reading.solution is not None, "it is of a solver"
-    solution, kind = reading.solution, reading.kind.value
-    if reading.chosen and reading.edge is not None:
-        solution = msgspec.structs.replace(
-            solution, status=reading.status, status_name=reading.status_name, reason="", integrity="", integrity_reason="",
-            baseline_enu_m=tuple((NED_FROM_ENU @ reading.edge.vector_ned_m).tolist()),
-            baseline_cov_enu_m2=tuple((NED_FROM_ENU @ reading.edge.cov_m2 @ NED_FROM_ENU).ravel().tolist()),
-        )  # fmt: skip
-    message = attitude_message(solution, table, mounting, [reading.source.start, reading.source.end], identity)
+    antennas = [reading.source.start, reading.source.end]
+    message = attitude_message(chosen_solution(reading, chosen), table, mounting, antennas, identity)
     told = {} if chosen is None else {"geometry": chosen.verdict, "geometry_wrong_probability": chosen.wrong_probability}
-    return msgspec.structs.replace(message, sources=dict.fromkeys(message.sources, kind), **told)
+    return msgspec.structs.replace(message, sources=dict.fromkeys(message.sources, reading.kind.value), **told)
 
 
 def attitude_message(

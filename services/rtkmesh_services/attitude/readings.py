@@ -18,6 +18,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 
 FIX, FLOAT = 1, 2
 LARGEST_M, LARGEST_M2 = 1e8, 1e6  # beyond the earth, and a kilometre: no measurements (nor is NaN)
+LARGEST_CLOCK_S = 0.1  # receivers keep theirs within a millisecond or two; beyond this (nor is NaN) it is none
 VIRTUAL_LENGTH_M = 1.0  # of the line of antennas of a heading that says no length
 
 
@@ -47,6 +48,8 @@ class Reading:
 
     ``candidates_follow``: those of its integers; ``chosen``: its integers are of the geometry, not of its solver; ``solution``: what it
     was read from.
+
+    ``time`` is the tag, ``clock_s`` by how much the receiver's clock was ahead when it measured: the instant is ``time`` minus that.
     """
 
     source: SourceSpec
@@ -58,6 +61,7 @@ class Reading:
     age_s: float = 0.0
     received_mono_ns: int = 0
     velocity_ecef_mps: tuple[float, float, float] = field(default=(nan, nan, nan))
+    clock_s: float = 0.0
     candidates_follow: bool = False
     chosen: bool = False
     solution: SolutionMessage | None = None
@@ -87,6 +91,7 @@ def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: b
         velocity_ecef_mps=message.velocity_ecef_mps,
         solution=message,
         candidates_follow=message.candidates and source.kind is SourceKind.BASELINE,
+        clock_s=message.receiver_clock_s if abs(message.receiver_clock_s) < LARGEST_CLOCK_S else 0.0,
     )
 
 
@@ -118,19 +123,24 @@ def time_of(week: int, tow_s: float) -> GpsTime:
 
 
 def _baseline(source: SourceSpec, message: SolutionMessage) -> Edge | None:
-    return _edge(source, NED_FROM_ENU @ np.array(message.baseline_enu_m), message.baseline_cov_enu_m2)
+    return _edge(source, NED_FROM_ENU @ np.array(message.baseline_enu_m), message.baseline_cov_enu_m2, wrong_probability(message))
 
 
 def _position(source: SourceSpec, message: SolutionMessage) -> Edge | None:
-    return _edge(source, np.array(message.position_ecef_m), message.position_cov_enu_m2)
+    return _edge(source, np.array(message.position_ecef_m), message.position_cov_enu_m2, wrong_probability(message))
 
 
-def _edge(source: SourceSpec, vector: Any, cov_enu_m2: tuple[float, ...]) -> Edge | None:
+def wrong_probability(message: SolutionMessage) -> float:
+    """Return the probability that a fix is wrong; 0 where the solver says nothing of it, and of a float."""
+    return 1.0 - message.fix_probability if 0.0 < message.fix_probability <= 1.0 else 0.0
+
+
+def _edge(source: SourceSpec, vector: Any, cov_enu_m2: tuple[float, ...], wrong: float) -> Edge | None:
     """Return the edge, None unless its covariance is one."""
     if len(cov_enu_m2) != 9 or not np.abs(vector).max() < LARGEST_M or not np.abs(cov_enu_m2).max() < LARGEST_M2:
         return None
     cov = NED_FROM_ENU @ np.array(cov_enu_m2).reshape(3, 3) @ NED_FROM_ENU
-    return Edge(source.start, source.end, vector, cov) if float(np.linalg.eigvalsh(cov)[0]) > 0.0 else None
+    return Edge(source.start, source.end, vector, cov, wrong=wrong) if float(np.linalg.eigvalsh(cov)[0]) > 0.0 else None
 
 
 def _line(source: SourceSpec, table: ReceiverHeadingTable, message: HeadingMessage, length_m: float, unseen_sigma_rad: float) -> Edge:

@@ -18,9 +18,10 @@ from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.body import Body, BodyAttitude, specs_of
 from rtkmesh_services.attitude.filtering import Filtering
+from rtkmesh_services.attitude.guard import Guard
 from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher, never
 from rtkmesh_services.attitude.messages import body_message, nmea_of
-from rtkmesh_services.attitude.one_baseline import attitude_message, body_of_length, chosen_message, mounting_of
+from rtkmesh_services.attitude.one_baseline import attitude_message, body_of_length, chosen_message, chosen_solution, mounting_of
 from rtkmesh_services.attitude.readings import Reading, SourceKind, SourceSpec, of_heading, of_solution, time_of
 from rtkmesh_services.attitude.warming import warm_choice
 from rtkmesh_services.runtime.bus import Sample
@@ -47,6 +48,7 @@ class AttitudeService(Service):
         self._of_length = None if self._body else body_of_length(self._table, next(iter(self._specs.values())))
         body = self._body or self._of_length
         self._geometry = None if body is None else body.geometry
+        self._guard = Guard(self._table, None if self._body is None else self._body.layout)
         self._points = {name: point.position_m for name, point in self._table.points.items()}
         wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if any(t.replay for t in context.deployment.ingest.values()) else self._table.wait_s
         wanted = never if self._geometry is None else self._geometry.wanted
@@ -126,7 +128,8 @@ class AttitudeService(Service):
         if self._body is None and self._of_length is None:
             solution = decode(SolutionMessage, item.payload, item.encoding)
             antennas = [spec.start, spec.end]
-            self._publish(attitude_message(solution, self._table, self._mounting, antennas, self._identity()))
+            message = attitude_message(solution, self._table, self._mounting, antennas, self._identity())
+            self._publish(self._guard.of_line(message, solution))
             return
         reading = self._reading(spec, item)
         if reading is None:
@@ -160,6 +163,7 @@ class AttitudeService(Service):
                 continue
             found = self._body.attitude(epoch)
             message = body_message(found, self._body.layout, self._points, self._unseen_rad, **self._identity())
+            message = self._guard.of_body(found, message)
             self._tell(found, message)
             self._publish(message)
             self._filter(found, message)
@@ -168,7 +172,8 @@ class AttitudeService(Service):
         """Publish the attitude of a baseline of known length."""
         chosen = None if self._of_length is None else self._of_length.choice(epoch)
         [reading] = (epoch if chosen is None else chosen).readings.values()
-        self._publish(chosen_message(reading, chosen, self._table, self._mounting, self._identity()))
+        message = chosen_message(reading, chosen, self._table, self._mounting, self._identity())
+        self._publish(self._guard.of_line(message, chosen_solution(reading, chosen)))
 
     def _publish(self, message: AttitudeMessage) -> None:
         self._last = message

@@ -12,6 +12,7 @@ from rtkmesh_services.runtime.words import nearest
 
 SAME_PLACE_M: Final = 0.01
 _STRAIGHT: Final = 1e-3
+_SLACK: Final = 1.01  # of a correlation of one: rounded numbers
 _TOLERANCE_SIGMAS: Final = 3.0
 _LEAST_TOLERANCE_M: Final = 0.02
 _MOUNTING: Final = ("mounting_deg", "mounting_pitch_deg", "length_m")
@@ -94,9 +95,28 @@ def _places(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[t
             yield ("antennas", antenna), f"antennas: no [ingest.{antenna}], whose antenna this would be{there}"
         if not all(0.0 <= sigma <= LARGEST_SIGMA_M for sigma in table.antennas[antenna].sigmas_m):
             yield ("antennas", antenna, "sigma_m"), f"antennas: sigma_m of {antenna!r} must be 0 to {LARGEST_SIGMA_M:.0f} m"
+        yield from _covariances(antenna, table)
     for (first, one), (second, other) in combinations(table.antennas.items(), 2):
         if dist(one.position_m, other.position_m) < SAME_PLACE_M:
             yield ("antennas", second), f"antennas: {first!r} and {second!r} are at one place"
+
+
+def _covariances(name: str, table: AttitudeTable) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield covariances of an antenna that are with none, or larger than variances allow."""
+    mine, path = _variances(name, table), ("antennas", name, "covariance_m2")
+    for other, block in table.antennas[name].covariance_m2.items():
+        theirs = _variances(other, table) if other in table.antennas else None
+        if theirs is None:
+            yield (*path, other), f"antennas: covariance_m2 of {name!r} with {other!r}, which is none{nearest(other, list(table.antennas))}"
+        elif other == name and min(block[::4]) < 0.0:
+            yield (*path, other), f"antennas: covariance_m2 of {name!r} has negative variances"
+        elif mine and theirs and any(block[3 * i + j] ** 2 > _SLACK * mine[i] * theirs[j] for i in range(3) for j in range(3)):
+            yield (*path, other), f"antennas: covariance_m2 of {name!r} with {other!r} is larger than their variances allow"
+
+
+def _variances(name: str, table: AttitudeTable) -> tuple[float, ...]:
+    """Return the variances (m^2) of an antenna's place by its covariance; empty without one."""
+    return table.antennas[name].covariance_m2.get(name, ())[::4]
 
 
 def _measured(table: AttitudeTable, deployment: Deployment) -> Iterator[tuple[str, str, str]]:
