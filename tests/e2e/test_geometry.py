@@ -80,7 +80,7 @@ def test_known_places_give_one_frequency_an_attitude_at_once(up: Callable[..., D
     by_geometry = [m for m in (*good["two"], *good["three"]) if "geometry" in m.sources.values()]
     print(share, f"by geometry {len(by_geometry)}, waited {median(m.waited_ms for m in by_geometry):.2f} ms")
     assert max(share["two_alone"], share["three_alone"]) < 0.2
-    assert min(share["two"], share["three"]) > 0.85
+    assert min(share["two"], share["three"]) > 0.8
     assert {m.geometry for m in by_geometry} == {"accepted"}
     assert all(m.geometry_wrong_probability <= 0.01 for m in by_geometry)
     assert [m for messages in good.values() for m in messages if not is_right(m)] == []
