@@ -1,7 +1,8 @@
 """Integers of several baselines together: all combinations by hand, invariants, closed forms, simulated truth, closure."""
 
+import os
 from collections.abc import Sequence
-from itertools import product
+from itertools import combinations, product
 from math import log, radians
 
 import numpy as np
@@ -47,6 +48,7 @@ def by_hand(tables: list[Candidates], share: float) -> list[tuple[float, tuple[i
 
 @pytest.mark.parametrize(("pairs", "count", "share"), [
     (((0, 1),), 12, 1.0), (((0, 1), (2, 3)), 5, 1.0), (STAR3, 6, 2.0 / 3.0), (TRIANGLE, 4, 2.0 / 3.0), (STAR4, 3, 0.5),
+    (tuple(combinations(range(4), 2)), 2, 0.5), (((1, 0), (0, 2), (2, 1)), 4, 2.0 / 3.0),
 ])  # fmt: skip
 @pytest.mark.parametrize("seed", range(3))
 def test_branch_and_bound_finds_what_trying_all_combinations_finds(
@@ -169,3 +171,18 @@ def test_signals_that_do_not_match_have_no_closure() -> None:
 def test_the_boat_of_the_scenarios_is_the_one_of_these_tests() -> None:
     offsets = [SCENARIOS["boat"].antennas[name].offset_m for name in ("rover", "heading", "starboard", "bow")]
     assert np.array_equal(np.array(offsets), PLACES)
+
+
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="a hundred thousand combinations take long without JIT")
+def test_what_would_take_too_long_is_not_sure() -> None:
+    """Six baselines whose forty candidates all have about the right length, none the right direction: the search ends, and says nothing."""
+    rng, tables = np.random.default_rng(1), list[Candidates]()
+    for start, end in combinations(range(4), 2):
+        right = PLACES[end] - PLACES[start]
+        drawn_m = right + rng.normal(0.0, 0.2, (40, 3))
+        lengths = np.linalg.norm(right) * (1.0 + rng.normal(0.0, 0.003, (40, 1)))
+        vectors = lengths * drawn_m / np.linalg.norm(drawn_m, axis=1)[:, None]
+        tables.append(Candidates(start, end, vectors, 3.6e-5 * np.eye(3), 5.0 + rng.uniform(0.0, 3.0, 40), 7))
+    choice = choose(BOAT, tables)
+    assert not choice.accepted
+    assert choice.other == choice.cost

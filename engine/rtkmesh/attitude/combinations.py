@@ -22,24 +22,27 @@ _STEPS: Final = 8
 _CONVERGED_RAD: Final = 1e-7
 _ENOUGH: Final = 1e-5  # of the chi-square: a step that gives less is the last
 _PARALLEL: Final = 0.02  # sine of an angle between baselines that gives no rotation about them
+_MOST_WORK: Final = 100_000  # combinations that are looked at, a fit is many of them: some ten milliseconds
+_FIT_WORK: Final = 40
 _UNSEEN: Final = 1e-9  # weight that keeps a rotation which nothing measures in its place
 
 
 @kernel
 def search_combinations(
-    values_m: Stack, norms: Matrix, sizes: Indices, body_m: Matrix, weights: Stack, spread_m2: Stack, axes: Axes, predicted: Matrix,
-    predicted_weight: Matrix, tilt_rad: float, two: Indices, costs: Vector, best: Matrix,
+    values_m: Stack, norms: Matrix, sizes: Indices, body_m: Matrix, weights: Stack, spread_m2: Stack, axes: Axes, loops: Indices,
+    loop_weights: Stack, predicted: Matrix, predicted_weight: Matrix, tilt_rad: float, two: Indices, costs: Vector, best: Matrix,
 ) -> int:  # fmt: skip
     """Write the two combinations of least cost (2, k), their costs (infinite: none) and the rotation of the best; return how many fits that
     took.
 
     ``values_m`` (k, m, 3) and ``norms`` (k, m) are the first ``sizes`` candidates of each of k baselines (NED); ``body_m`` (k, 3) the
     baselines in the body; ``weights`` (k, 3k, 3k) the inverse joint covariance of the first 1, 2, .. k of them; ``spread_m2`` (k, k, 3)
-    and ``axes`` (k, k, 3, 3) variances and axes (columns) of the covariance of each (diagonal) and of differences of two. ``predicted``
-    is where the rotation is expected, with its weight (3, 3; 0: no knowledge); ``tilt_rad`` by how much the body's down axis may be off
-    the vertical.
+    and ``axes`` (k, k, 3, 3) variances and axes (columns) of the covariance of each (diagonal) and of differences of two. ``loops``
+    (l, 5): triangles, as which baseline is the sum of which two earlier ones and the signs of these, with the weights (l, 3, 3) of what
+    they are open by. ``predicted`` is where the rotation is expected, with its weight (3, 3; 0: no knowledge); ``tilt_rad`` by how much
+    the body's down axis may be off the vertical. Where that is too much work, the second has the cost of the best: nothing is sure.
     """
-    k, fits, depth = len(body_m), 0, 0
+    k, fits, depth, work = len(body_m), 0, 0, 0
     chosen, place, step, rotation = np.empty((k, 3)), np.full(k, -1), np.full(k, -1), np.empty((3, 3))
     sums, rest, worst = np.zeros(k + 1), np.zeros(k + 1), np.zeros(k + 1)
     alone, order = _each_alone(values_m, norms, sizes, body_m, spread_m2, axes, tilt_rad)
@@ -51,16 +54,21 @@ def search_combinations(
         if step[depth] >= sizes[depth]:
             depth -= 1
             continue
+        work += 1
+        if work > _MOST_WORK:
+            costs[1] = costs[0]  # nothing can be said of the others
+            break
         place[depth] = order[depth, step[depth]]
         total, least = sums[depth] + norms[depth, place[depth]], max(worst[depth], alone[depth, place[depth]])
         if total + rest[depth + 1] + least >= costs[1]:
             continue
         chosen[depth] = values_m[depth, place[depth]]
-        if total + rest[depth + 1] + _least_misfit(chosen, body_m, spread_m2, axes, depth) >= costs[1]:
+        least = max(least, _least_misfit(chosen, body_m, spread_m2, axes, depth), _misclosure(chosen, loops, loop_weights, depth))
+        if total + rest[depth + 1] + least >= costs[1]:
             continue
         if depth > 0 or k == 1:
             least = fit_rotation(chosen, body_m, weights[depth], predicted, predicted_weight, depth + 1, rotation)
-            fits += 1
+            fits, work = fits + 1, work + _FIT_WORK
         if total + rest[depth + 1] + least >= costs[1]:
             continue
         if depth + 1 < k:
@@ -106,6 +114,22 @@ def _least_misfit(chosen: Matrix, body_m: Matrix, spread_m2: Stack, axes: Axes, 
         for i in range(3):
             apart[i] = body_m[last, i] - body_m[j, i]
         worst = max(worst, _misfit_of_distance(chosen[last], chosen[j], _length(apart), spread_m2[last, j], axes[last, j]))
+    return worst
+
+
+@kernel
+def _misclosure(chosen: Matrix, loops: Indices, weights: Stack, last: int) -> float:
+    """Return a lower bound of the chi-square by the triangles that a baseline is the last side of: no rotation closes them."""
+    worst, gap = 0.0, np.empty(3)
+    for n in range(len(loops)):
+        if loops[n, 0] != last:
+            continue
+        for i in range(3):
+            gap[i] = chosen[last, i] - loops[n, 3] * chosen[loops[n, 1], i] - loops[n, 4] * chosen[loops[n, 2], i]
+        square = 0.0
+        for i in range(3):
+            square += gap[i] * (weights[n, i, 0] * gap[0] + weights[n, i, 1] * gap[1] + weights[n, i, 2] * gap[2])
+        worst = max(worst, square)
     return worst
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude.candidates import Candidates, Pairs, pairs_of
 from rtkmesh.attitude.chi_square import chi_square_limit
-from rtkmesh.attitude.closure import closure
+from rtkmesh.attitude.closure import closure, triangles
 from rtkmesh.attitude.combinations import search_combinations
 from rtkmesh.attitude.rigid_body import Fit, Layout, Measured, baselines, fit
 from rtkmesh.models.odds import NORM_LIMIT, SURENESS, log_odds
@@ -162,11 +162,28 @@ def _searched(layout: Layout, tables: Sequence[Candidates], expected: Expectatio
     for j in range(1, k + 1):
         weights[j - 1, : 3 * j, : 3 * j] = np.linalg.inv(cov[: 3 * j, : 3 * j])
     spread, axes = _spread(cov)
+    loops = _loops(pairs_of(tables))
     predicted = np.eye(3) if expected.ned_from_body is None else expected.ned_from_body
     known: Matrix = np.zeros((3, 3)) if expected.cov_rad2 is None else np.linalg.inv(expected.cov_rad2).astype(np.float64)
     two, costs, rotation = np.zeros((2, k), np.int64), np.full(2, inf), np.eye(3)
     sizes, start = np.array([len(table.norms) for table in tables]), np.ascontiguousarray(predicted)
-    search_combinations(values, norms, sizes, body, weights, spread, axes, start, known, expected.tilt_rad, two, costs, rotation)
+    search_combinations(
+        values,
+        norms,
+        sizes,
+        body,
+        weights,
+        spread,
+        axes,
+        loops,
+        _loop_weights(loops, cov),
+        start,
+        known,
+        expected.tilt_rad,
+        two,
+        costs,
+        rotation,
+    )
     return two, costs, rotation
 
 
@@ -179,6 +196,28 @@ def _spread(cov_m2: Matrix) -> tuple[Matrix, Matrix]:
     apart[np.arange(k), np.arange(k)] = own
     values, vectors = np.linalg.eigh(apart)
     return np.maximum(values, 1e-12), np.ascontiguousarray(vectors)
+
+
+@lru_cache(maxsize=256)
+def _loops(pairs: Pairs) -> Indices:
+    """Return the triangles among baselines as rows (l, 5): the last side, the two others, and the signs with which these add up to it."""
+    rows: list[tuple[int, ...]] = []
+    for triangle in triangles(pairs):
+        one, two, last = sorted(triangle)
+        first = 1 if pairs[one][0] == pairs[last][0] or pairs[one][1] == pairs[last][1] else -1
+        second = 1 if pairs[two][0] == pairs[last][0] or pairs[two][1] == pairs[last][1] else -1
+        rows.append((last, one, two, first, second))
+    return np.array(rows, np.int64).reshape(-1, 5)
+
+
+def _loop_weights(loops: Indices, cov_m2: Matrix) -> Matrix:
+    """Return the inverse covariance (l, 3, 3) of what triangles are not closed by."""
+    k = len(cov_m2) // 3
+    mix = np.zeros((len(loops), k))
+    for row, (last, one, two, first, second) in zip(mix, loops.tolist(), strict=True):
+        row[last], row[one], row[two] = 1.0, -first, -second
+    gaps: Matrix = np.einsum("li,iajb,lj->lab", mix, cov_m2.reshape(k, 3, k, 3), mix)
+    return np.linalg.inv(gaps).astype(np.float64)
 
 
 @lru_cache(maxsize=256)

@@ -17,6 +17,7 @@ from rtkmesh_schemas.errors import DecodeError
 Matrix = NDArray[np.float64]
 
 _LARGEST = 1e9  # no earth is so large, nor a norm of integers that anybody would choose (nor is NaN)
+_LEAST_M2 = 1e-10  # no phase is good to ten micrometres
 _NUMBERS = np.zeros(0, np.int16)
 _NONE = CandidateTable(_NUMBERS, _NUMBERS, _NUMBERS, np.zeros((0, 0), np.int64), 0, np.zeros((0, 3)), np.eye(3), np.zeros(0), 0.0)
 
@@ -56,7 +57,7 @@ def candidates_of(message: CandidatesMessage, start: int, end: int) -> Candidate
     cov = np.array(message.covariance_ecef_m2).reshape(3, 3)
     if (
         not (np.abs(numbers).max() < _LARGEST and 0 <= message.count <= p and message.beyond >= 0.0)
-        or np.linalg.eigvalsh(0.5 * (cov + cov.T))[0] <= 0.0
+        or np.linalg.eigvalsh(0.5 * (cov + cov.T))[0] <= _LEAST_M2
     ):
         raise DecodeError(f"candidates of {message.source}: not finite, too large, or a covariance that is none")
     turn: Matrix = NED_FROM_ENU @ enu_from_ecef_at(np.array(message.base_ecef_m))
