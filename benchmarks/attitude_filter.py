@@ -28,7 +28,7 @@ from rtkmesh.attitude.heading_filter import filter_of
 from rtkmesh.attitude.rigid_body import Fit, Shape
 from rtkmesh.attitude.rotation import rotation_of, rotation_of_angles, vector_of
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh.simulation.trajectories import Trajectory, boat, driving, walking
+from rtkmesh.simulation.trajectories import Trajectory, boat, driving, drone, tractor, walking
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -38,7 +38,13 @@ GYRO_SIGMA_RADPS: Final = radians(0.2)
 BIAS_SIGMA_RADPS, BIAS_WALK_RADPS_RTS = radians(1.0), 1e-4
 START: Final = GpsTime(2445, 604_770.0)  # the week turns over after half a minute
 SETTLED_S: Final = 5.0
-VEHICLES: Final[dict[str, Trajectory]] = {"car with turns": driving, "boat on waves": boat, "walker": walking}
+VEHICLES: Final[dict[str, Trajectory]] = {
+    "car with turns": driving,
+    "boat on waves": boat,
+    "walker": walking,
+    "drone": drone,
+    "tractor": tractor,
+}
 
 
 @dataclass(frozen=True, slots=True)
