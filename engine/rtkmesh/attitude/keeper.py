@@ -190,7 +190,8 @@ class Keeper(Generic[S]):
             if trust.may_reset and self._doubts.enough(innovation, time_s):
                 return self._restart(state, measurement, Why.INNOVATION, chi_square)
             return Update(Outcome.GATED, Why.INNOVATION, chi_square=chi_square, degrees=degrees)
-        self._doubts.clear()
+        if trust.may_reset:  # what may not overrule the filter does not speak for it, either
+            self._doubts.clear()
         step = partial(self._applied, time_s=time_s, measurement=measurement, doubted=doubted)
         self._timeline.insert(self._with(state, innovation), step)
         return Update(Outcome.ACCEPTED, chi_square=chi_square, degrees=degrees)

@@ -16,7 +16,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.body import Body, BodyAttitude, specs_of
-from rtkmesh_services.attitude.filtering import Filtering
+from rtkmesh_services.attitude.filtering import Filtering, courses_of
 from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher
 from rtkmesh_services.attitude.messages import body_message, nmea_of
 from rtkmesh_services.attitude.one_baseline import attitude_message, mounting_of
@@ -45,7 +45,7 @@ class AttitudeService(Service):
         self._points = {name: point.position_m for name, point in self._table.points.items()}
         wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if any(t.replay for t in context.deployment.ingest.values()) else self._table.wait_s
         self._matcher = Matcher(tuple(self._specs), wait_s, slowest=self._table.rate == "slowest")
-        self._filtering = Filtering(self._table, self._table.filter, self._unseen_rad) if self._body and self._table.filter else None
+        self._filtering = self._filter_of(self._table)
         self._imu = "" if self._table.imu is None else self._table.imu.key
         self._at_gyro = self._table.filter is not None and self._table.filter.publish == "gyro"
         self._sequence = self._filtered = 0
@@ -57,6 +57,12 @@ class AttitudeService(Service):
         self._last: AttitudeMessage | None = None
         self._counts: Counter[str] = Counter()
         self._latency_ms, self._published_ms = RollingQuantiles(), RollingQuantiles()
+
+    def _filter_of(self, table: AttitudeTable) -> Filtering | None:
+        if self._body is None or table.filter is None:
+            return None
+        courses = None if table.course is None else courses_of(table, self._specs[table.course.position].end)
+        return Filtering(table, table.filter, self._unseen_rad, courses)
 
     def open(self) -> None:
         """Subscribe to the sources."""
@@ -73,7 +79,7 @@ class AttitudeService(Service):
         if not isinstance(item, Sample):
             return
         if item.key == self._imu:
-            self._take_gyro(item)
+            self._take_imu(item)
             return
         self._arrived_ns = self.context.clock.mono_ns()
         spec = self._specs[item.key.split("/")[1]]
@@ -131,7 +137,7 @@ class AttitudeService(Service):
             message = body_message(found, self._body.layout, self._points, self._unseen_rad, **self._identity())
             self._tell(found, message)
             self._publish(message)
-            self._filter(found, message)
+            self._filter(found, message, epoch.readings.values())
             if not epoch.whole:
                 self._counts["deadlines"] += 1
 
@@ -146,7 +152,7 @@ class AttitudeService(Service):
         if message.received_mono_ns:
             self._latency_ms.add(now_ns, (now_ns - message.received_mono_ns) * 1e-6)
 
-    def _filter(self, found: BodyAttitude, message: AttitudeMessage) -> None:
+    def _filter(self, found: BodyAttitude, message: AttitudeMessage, readings: Iterable[Reading]) -> None:
         """Give an epoch to the filter and publish what it says of this instant; that it began anew is told."""
         if self._filtering is None:
             return
@@ -155,14 +161,15 @@ class AttitudeService(Service):
             jump_deg = degrees(update.jump_rad)
             text = f"the attitude filter began anew: by {jump_deg:.1f} deg ({update.why.value})"
             self.context.event(Level.WARNING, "attitude_reset", text, jump_deg=jump_deg)
+        self._filtering.moved(readings)
         self._publish_filtered(found.time, message)
 
-    def _take_gyro(self, item: Sample) -> None:
+    def _take_imu(self, item: Sample) -> None:
         if self._filtering is None:
             return
         self._messages[self._imu] += 1
         try:
-            time = self._filtering.gyro(item.payload, item.encoding)
+            time = self._filtering.imu(item.payload, item.encoding)
         except DecodeError:
             self._errors[self._imu] += 1
             return
@@ -215,7 +222,7 @@ class AttitudeService(Service):
         if not self._imu:
             return []
         messages, errors = self._messages[self._imu], self._errors[self._imu]
-        return [InputStatus(name=self._imu, state="receiving" if messages else "waiting", detail="gyro", messages=messages, errors=errors)]
+        return [InputStatus(name=self._imu, state="receiving" if messages else "waiting", detail="imu", messages=messages, errors=errors)]
 
     def _counters(self) -> dict[str, int]:
         matched = {"late": self._matcher.late.total(), "between": self._matcher.skipped, "restarts": self._matcher.restarts}
