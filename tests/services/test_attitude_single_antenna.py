@@ -12,7 +12,7 @@ from tests.services.attitude_body import ECEF_FROM_ENU, ORIGIN_ECEF_M, WEEK, Veh
 from rtkmesh.attitude.rotation import NED_FROM_ENU, rotation_of_angles, rotation_of_quaternion, vector_of
 from rtkmesh.simulation.trajectories import Trajectory, driving
 from rtkmesh_schemas.attitude import AttitudeMessage
-from rtkmesh_schemas.config_attitude import AttitudeFilterTable, CourseTable, ImuTable
+from rtkmesh_schemas.config_attitude import AttitudeFilterTable, BodyPointTable, CourseTable, ImuTable
 from rtkmesh_schemas.keys import ATT_FILTERED
 from rtkmesh_services.runtime.bus import Sample
 
@@ -120,6 +120,25 @@ def test_a_single_antenna_with_an_imu_has_the_whole_attitude() -> None:
     assert counters["filter_course_accepted"] > 50
     assert counters["filter_tilt_accepted"] > 50
     assert "filter_course_reset" not in counters
+
+
+def test_a_point_of_the_body_is_where_the_filtered_attitude_has_it_and_moves_as_it_turns() -> None:
+    """A point behind and below the antenna; its velocity is not the antenna's in a turn. At epochs only."""
+    place = (-1.5, -0.5, 0.3)
+    drive = driven(points={"hitch": BodyPointTable(position_m=place)})
+    found = [(t, m.points["hitch"]) for t, m in drive.run(2.0, 45.0) if m.integrity == "ok" and "hitch" in m.points and t > 25.0]
+    assert 90 < len(found) < 110
+    off_m, off_mps, antenna_mps, h = [], [], [], 0.01
+    for time_s, point in found:
+        truth = place_at(drive.drive, time_s, place)
+        told = NED_FROM_ENU @ ECEF_FROM_ENU.T @ (np.array(point.position_ecef_m) - ORIGIN_ECEF_M)
+        velocity = (place_at(drive.drive, time_s + h, place) - place_at(drive.drive, time_s - h, place)) / (2.0 * h)
+        antenna = (place_at(drive.drive, time_s + h, PLACE_M) - place_at(drive.drive, time_s - h, PLACE_M)) / (2.0 * h)
+        off_m.append((told - truth) / np.sqrt(np.array(point.cov_enu_m2)[[4, 0, 8]]))
+        off_mps.append(np.linalg.norm(NED_FROM_ENU @ np.array(point.velocity_enu_mps) - velocity))
+        antenna_mps.append(np.linalg.norm(antenna - velocity))
+    assert np.sqrt(np.mean(np.square(off_m))) < 1.5
+    assert np.mean(off_mps) < 0.08 < 0.5 * np.max(antenna_mps)
 
 
 def test_without_the_course_table_a_velocity_is_no_heading() -> None:

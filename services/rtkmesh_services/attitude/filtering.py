@@ -20,6 +20,7 @@ from rtkmesh_services.attitude.body import BodyAttitude
 from rtkmesh_services.attitude.imu import imu_of
 from rtkmesh_services.attitude.messages import angles_fields, rotation_fields
 from rtkmesh_services.attitude.motion import Courses, Velocity, velocity_of
+from rtkmesh_services.attitude.points import filtered_points
 from rtkmesh_services.attitude.readings import FIX, Reading, SourceKind
 from rtkmesh_services.attitude.tilts import Tilts
 
@@ -36,6 +37,8 @@ class Filtering:
         self._course_of = "" if table.course is None else table.course.position
         self._moving = self._course_of or next(iter(table.positions), "")
         self._courses = courses
+        self._points = {name: point.position_m for name, point in table.points.items()}
+        self._antennas = {name: np.array(antenna.position_m) for name, antenna in table.antennas.items()}
         self._unseen_rad = unseen_sigma_rad
         self.counts: Counter[str] = Counter()
 
@@ -95,11 +98,18 @@ class Filtering:
         else:
             self.counts["yaw_not_used"] += 1
 
-    def message(self, time: GpsTime, epoch: AttitudeMessage, **identity: Any) -> AttitudeMessage:
-        """Return the filtered attitude at a time, with what is to be said of the newest epoch before it."""
+    def message(self, time: GpsTime, epoch: AttitudeMessage, found: BodyAttitude | None, **identity: Any) -> AttitudeMessage:
+        """Return the filtered attitude at a time, with what is to be said of the newest epoch before it; points are of ``found`` alone."""
         estimate = self._filter.predicted(time)
+        points = {} if found is None else filtered_points(self._points, found, epoch.points, estimate, self._antennas)
         fields = _known(estimate, self._unseen_rad) if estimate.ned_from_body is not None else _unknown(estimate)
-        told: dict[str, Any] = {"week": time.week, "tow_s": time.tow_s, "predicted_s": estimate.age_s, "resets": self.resets, "points": {}}
+        told: dict[str, Any] = {
+            "week": time.week,
+            "tow_s": time.tow_s,
+            "predicted_s": estimate.age_s,
+            "resets": self.resets,
+            "points": points,
+        }
         return msgspec.structs.replace(epoch, **(told | fields | identity))
 
     def _counted(self, what: str, update: Update) -> Update:

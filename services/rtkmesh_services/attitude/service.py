@@ -162,7 +162,7 @@ class AttitudeService(Service):
             text = f"the attitude filter began anew: by {jump_deg:.1f} deg ({update.why.value})"
             self.context.event(Level.WARNING, "attitude_reset", text, jump_deg=jump_deg)
         self._filtering.moved(readings)
-        self._publish_filtered(found.time, message)
+        self._publish_filtered(found.time, message, found)
 
     def _take_imu(self, item: Sample) -> None:
         if self._filtering is None:
@@ -174,14 +174,14 @@ class AttitudeService(Service):
             self._errors[self._imu] += 1
             return
         if self._at_gyro and self._last is not None:
-            self._publish_filtered(time, self._last)
+            self._publish_filtered(time, self._last, None)
 
-    def _publish_filtered(self, time: GpsTime, epoch: AttitudeMessage) -> None:
+    def _publish_filtered(self, time: GpsTime, epoch: AttitudeMessage, found: BodyAttitude | None) -> None:
         assert self._filtering is not None, "there is a filter"
         now_ns = self.context.clock.mono_ns()
         identity = {"sequence": self._filtered, "published_mono_ns": now_ns}
         self._filtered += 1
-        self.context.bus.publish(ATT_FILTERED, self._filtering.message(time, epoch, **identity))
+        self.context.bus.publish(ATT_FILTERED, self._filtering.message(time, epoch, found, **identity))
 
     def _tell(self, found: BodyAttitude, message: AttitudeMessage) -> None:
         """Tell when the antennas are others than those of the last attitude."""
