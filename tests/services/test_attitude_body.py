@@ -13,7 +13,7 @@ from tests.services.attitude_body import ANGLES_RAD, ECEF_FROM_ENU, ORIGIN_ECEF_
 from rtkmesh.attitude.rotation import NED_FROM_ENU, rotation_of_angles, rotation_of_quaternion
 from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
 from rtkmesh_schemas.config_attitude import BodyPointTable, ReceiverHeadingTable
-from rtkmesh_schemas.keys import ATT_NMEA
+from rtkmesh_schemas.keys import ATT_NMEA, SOL
 from rtkmesh_schemas.status import State
 from rtkmesh_services.attitude.matching import Matcher
 from rtkmesh_services.runtime.bus import Sample
@@ -335,3 +335,14 @@ def test_nmea_is_said_to_who_listens() -> None:
 
 def test_an_empty_matcher_is_never_due() -> None:
     assert Matcher(("a",), 0.1, slowest=True).due_s() == float("inf")
+
+
+def test_a_replay_drops_no_solution_however_far_behind_the_attitude_is() -> None:
+    """More than an inbox's usual capacity, before the process takes the first."""
+    vehicle = Vehicle({name: SQUARE[name] for name in "ab"}, replay=True)
+    bus = MemoryBus("ab", vehicle.network)
+    for index in range(1500):
+        bus.publish(SOL, vehicle.baseline("ab", 10.0 + 0.2 * index))
+    for _ in range(1600):
+        vehicle.life.step(0.0)
+    assert len(vehicle.attitudes()) == 1500

@@ -9,7 +9,7 @@ Source: J. Sola, "Quaternion kinematics for the error-state Kalman filter", sect
 
 from dataclasses import dataclass, replace
 from math import exp, inf
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,18 +107,15 @@ def corrected(state: State, innovation: Innovation) -> State:
     jacobian = np.hstack([innovation.jacobian, np.zeros((len(innovation.value), 6))])
     step, cov, mean_square = updated(state.cov, jacobian, innovation.noise, innovation.value)
     walk = state.walk if state.time_s - state.gyro_s < GYRO_TELLS_S else learned_walk(state.walk, mean_square, state.measurements)
-    return _moved(
-        replace(state, measured_s=state.time_s, measurements=state.measurements + 1, measured_before_s=state.measured_s, walk=walk),
-        step,
-        cov,
-    )
+    counted = state.measurements + 1
+    return _moved(state, step, cov, measured_s=state.time_s, measured_before_s=state.measured_s, measurements=counted, walk=walk)
 
 
 def with_gyro(state: State, rate_body_radps: Vector, sigma_radps: float) -> State:
     """Return the state after a gyro's sample (rad/s, body), at the state's own time."""
     value = rate_body_radps - state.rate_body_radps - state.bias_radps
     step, cov, mean_square = updated(state.cov, GYRO_JACOBIAN, sigma_radps**2 * _I3, value)
-    return _moved(replace(state, gyro_s=state.time_s, walk=learned_walk(state.walk, mean_square)), step, cov)
+    return _moved(state, step, cov, gyro_s=state.time_s, walk=learned_walk(state.walk, mean_square))
 
 
 def gyro_innovation(state: State, rate_body_radps: Vector, sigma_radps: float) -> tuple[Vector, Matrix]:
@@ -128,16 +125,15 @@ def gyro_innovation(state: State, rate_body_radps: Vector, sigma_radps: float) -
     return rate_body_radps - state.rate_body_radps - state.bias_radps, cov
 
 
-def _moved(state: State, step: Vector, cov: Matrix) -> State:
-    """Put a step of the errors into the state; the covariance of the rotation's error turns by half the step (first order)."""
+def _moved(state: State, step: Vector, cov: Matrix, **changes: Any) -> State:
+    """Put a step of the errors into the state, with other changes; the covariance of the rotation's error turns by half the step."""
     rotation = rotation_of(step[TURN]) @ state.ned_from_body
     rotation = 1.5 * rotation - 0.5 * rotation @ rotation.T @ rotation  # rounding must not grow over a million steps
     turned = _I3 + 0.5 * skew(step[TURN])
     cov[TURN, :] = turned @ cov[TURN, :]
     cov[:, TURN] = cov[:, TURN] @ turned.T
-    return replace(
-        state, ned_from_body=rotation, rate_body_radps=state.rate_body_radps + step[RATE], bias_radps=state.bias_radps + step[BIAS], cov=cov
-    )
+    rate, bias = state.rate_body_radps + step[RATE], state.bias_radps + step[BIAS]
+    return replace(state, ned_from_body=rotation, rate_body_radps=rate, bias_radps=bias, cov=cov, **changes)
 
 
 def levelled(state: State, options: FilterOptions) -> State:

@@ -28,6 +28,7 @@ from rtkmesh_services.runtime.statistics import RollingQuantiles
 STALE_S = 5.0
 FIRST_S = 15.0  # the same for the first solution: the solver has to start
 REPLAY_WAIT_S = 10.0  # a replay is worth waiting for what a loaded machine brings late
+REPLAY_LANE = 1 << 16  # solutions of a replay that runs as fast as it can: none is dropped
 
 
 class AttitudeService(Service):
@@ -43,7 +44,8 @@ class AttitudeService(Service):
         self._specs = {spec.id: spec for spec in specs_of(self._table, context.deployment)}
         self._body = Body(self._table, tuple(self._specs.values())) if self._table.antennas or not self._table.solver else None
         self._points = {name: point.position_m for name, point in self._table.points.items()}
-        wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if any(t.replay for t in context.deployment.ingest.values()) else self._table.wait_s
+        self._replay = any(table.replay for table in context.deployment.ingest.values())
+        wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if self._replay else self._table.wait_s
         self._matcher = Matcher(tuple(self._specs), wait_s, slowest=self._table.rate == "slowest")
         self._filtering = self._filter_of(self._table)
         self._imu = "" if self._table.imu is None else self._table.imu.key
@@ -67,6 +69,8 @@ class AttitudeService(Service):
     def open(self) -> None:
         """Subscribe to the sources."""
         self._opened_s = self._now_s()
+        if self._replay:
+            self.context.inbox.lane("sol", capacity=REPLAY_LANE)
         self.context.bus.matched(ATT_NMEA)  # declares it: listeners are known before the first attitude
         for name in self._specs:
             stream = HEADING if name in self._table.headings else SOL
