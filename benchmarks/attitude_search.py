@@ -5,7 +5,9 @@
 
 Simulated: the boat of the scenarios with three and four antennas (2.0 m by 1.2 m) on waves, u-blox-like receivers, every epoch by itself
 (--continuous: ambiguities carried on), several seeds; an attitude is right when every baseline is within 5 cm of the truth. Recorded:
-two antennas 0.99 m apart (tokyo_static), right is within 5 cm of the median of the fixes with all systems and bands. `none`: the solvers
+two survey antennas 0.99 m apart (tokyo_static) and two M8P 0.33 m apart (galway_a, base epochs with gaps), right is within 5 cm of the
+median of the fixes with all systems and bands; `RTKLIB` is rnx2rtkp's moving base, with `pos2-baselen` for its length, and its epochs are
+those that it has a solution for. `none`: the solvers
 as they are, all must fix; `lengths`: each is told the length of its baseline; `shape`: `attitude.search.choose` on their candidates;
 `window`: the same and down within 15 degrees of the vertical. `best`: the first candidates are right, in % of the epochs; `accepted` in
 % of the epochs, `wrong` of these, by number; `ms`: median and 99 % of the choice.
@@ -26,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import kernel_cache  # noqa: F401  first of all
+import rtklib
 from cases import Case, data_folder, load
 from results import table
 from rtkmesh.attitude.rigid_body import Layout
@@ -44,6 +47,7 @@ from rtkmesh.simulation.receiver import Observed
 from rtkmesh.simulation.scenario import SCENARIOS, open_stream, truth
 from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, broadcast
 from rtkmesh_services.cli.offline import Run, open_inputs
+from score_pos import FIX
 
 Row = dict[str, Any]
 Vector = NDArray[np.float64]
@@ -52,6 +56,7 @@ NAMES: Final = ("rover", "heading", "starboard", "bow")
 VARIANTS: Final = (("G", 1), ("GEJC", 1), ("GREJC", 2))
 CASE: Final = "tokyo_static_l125"
 LENGTH_M: Final = 0.990
+RECORDED: Final = {CASE: LENGTH_M, "galway_a": 0.330}
 ENDS: Final = ((0, 1), (0, 2), (0, 3), (1, 2))
 TILT_RAD: Final = radians(15.0)
 SHAPES: Final = (
@@ -162,29 +167,50 @@ def _right(choice: Choice, given: Sequence[Candidates], true: Sequence[Vector]) 
     return bool(choice.chosen) and all(np.linalg.norm(c.baselines_ned_m[k] - t) < _RIGHT_M for k, c, t in chosen)
 
 
-def solved(case: Case, told: RtkOptions) -> Iterator[tuple[Vector, bool, Vector, CandidateTable | None]]:
-    """Yield per epoch of a recording: baseline (ECEF), whether it is fixed, where its base is, and the candidates."""
+def run_of(case: Case, told: RtkOptions) -> Run:
+    """Return a run over a recorded pair."""
     date = GpsTime.from_calendar(*(int(part) for part in case.date.split("-")), 12) if case.date else None
     inputs = open_inputs(case.rover, case.base, case.navigation, date)
-    run = Run(inputs, SessionOptions(told, pairing_for(told, replay=True), None, navigation_streams=len(case.navigation)))
+    return Run(inputs, SessionOptions(told, pairing_for(told, replay=True), None, navigation_streams=len(case.navigation)))
+
+
+def solved(case: Case, told: RtkOptions) -> Iterator[tuple[Vector, bool, Vector, CandidateTable | None]]:
+    """Yield per epoch of a recording: baseline (ECEF), whether it is fixed, where its base is, and the candidates."""
+    run = run_of(case, told)
     for solution in run.solutions():
-        yield solution.baseline_ecef_m, solution.status is Status.FIX, solution.base_ecef_m, run.session.engine.candidates()
+        if np.isfinite(solution.baseline_ecef_m).all():
+            yield solution.baseline_ecef_m, solution.status is Status.FIX, solution.base_ecef_m, run.session.engine.candidates()
 
 
-def recorded(case: Case, systems: str, frequencies: int, mode: AmbiguityMode, tallies: Tallies) -> None:
-    """Solve the recorded pair in all ways."""
-    best = [b for b, fixed, *_ in solved(case, options("GREJC", 3, AmbiguityMode.CONTINUOUS, None)) if fixed]
-    true_ecef_m, variant = np.median(best, axis=0), f"{case.name}: {systems}, {frequencies}"
-    layout = Layout(("base", "rover"), np.array([[0.0, 0.0, 0.0], [LENGTH_M, 0.0, 0.0]]))
-    for name, length_m in (("none", None), ("lengths", LENGTH_M)):
-        for baseline, fixed, base_ecef_m, found in solved(case, options(systems, frequencies, mode, length_m)):
+def median_baseline(case: Case) -> Vector:
+    """Return the median of the fixes with all that was recorded."""
+    told = options("GREJC", 3, AmbiguityMode.CONTINUOUS, None)
+    return np.asarray(np.median([b for b, fixed, *_ in solved(case, told) if fixed], axis=0), np.float64)
+
+
+def recorded(case: Case, length_m: float, mode: AmbiguityMode, tallies: Tallies) -> None:
+    """Solve a recorded pair with GPS on one frequency in all ways, and by RTKLIB."""
+    true_ecef_m, variant = median_baseline(case), f"{case.name}: G, 1"
+    layout = Layout(("base", "rover"), np.array([[0.0, 0.0, 0.0], [length_m, 0.0, 0.0]]))
+    for name, told_m in (("none", None), ("lengths", length_m)):
+        for baseline, fixed, base_ecef_m, found in solved(case, options("G", 1, mode, told_m)):
             tallies[variant, 2, name].add(right=bool(np.linalg.norm(baseline - true_ecef_m) < _RIGHT_M), accepted=fixed)
-            if length_m is None:
+            if told_m is None:
                 continue
             turn = NED_FROM_ENU @ enu_from_ecef_at(base_ecef_m) if np.isfinite(base_ecef_m).all() else np.eye(3)
             given = [candidates(found, 0, 1, turn)] if found is not None else []
             _chosen(tallies[variant, 2, "shape"], layout, given, [turn @ true_ecef_m], np.pi)
             _chosen(tallies[variant, 2, "shape, window"], layout, given, [turn @ true_ecef_m], TILT_RAD)
+        if not rtklib.missing():
+            by_rtklib(tallies[variant, 2, f"RTKLIB, {name}"], case, mode, told_m, true_ecef_m)
+
+
+def by_rtklib(tally: Tally, case: Case, mode: AmbiguityMode, length_m: float | None, true_ecef_m: Vector) -> None:
+    """Count RTKLIB's solutions of a recorded pair, as a moving base whose length it is told or not."""
+    track = rtklib.moving_base(case, "G", 1, mode.value, length_m)
+    true_enu_m = enu_from_ecef_at(np.array(case.base_ecef_m)) @ true_ecef_m
+    for vector, quality in zip(track.vector_m, track.quality.tolist(), strict=True):
+        tally.add(right=bool(np.linalg.norm(vector - true_enu_m) < _RIGHT_M), accepted=quality == FIX)
 
 
 def page(tallies: Tallies) -> str:
@@ -225,7 +251,8 @@ def main() -> int:
             simulated(seed, epochs, systems, frequencies, mode, tallies)
     data = chosen.data or data_folder()
     if data is not None:
-        recorded(load(data, [CASE])[0], "G", 1, mode, tallies)
+        for case in load(data, list(RECORDED)):
+            recorded(case, RECORDED[case.name], mode, tallies)
     else:
         print("attitude_search: no recordings: the simulator alone", file=sys.stderr)
     rows = [{"variant": v, "antennas": n, "geometry": g, **{k: getattr(t, k) for k in ("epochs", "right", "accepted", "wrong")}}

@@ -26,6 +26,7 @@ from results import table
 from rtkmesh.attitude.calibration import Calibration, Instant, calibrate
 from rtkmesh.attitude.design import Noise, design
 from rtkmesh.attitude.integrity import Finding, Judged, judged
+from rtkmesh.attitude.protection import Guarding, levels
 from rtkmesh.attitude.rigid_body import Fit, Layout, Measured, fit
 from rtkmesh.attitude.rotation import NED_FROM_ENU, angles_of, rotation_of_angles, vector_of, wrapped
 from score_pos import ecef_from_geodetic, enu_from_ecef_at
@@ -38,7 +39,9 @@ FOLDER: Final = "upv_four_antenna"
 ANTENNAS: Final = ("2", "3", "5", "4")  # around the frame
 FAULTS_M: Final = (0.05, 0.1, 0.2, 0.5, 1.0)
 WITHIN: Final = 3.4  # sigmas of an angle: one in 1500 is further off
-_SHARES: Final = ("found", "right", "wrong", "given", "outside")
+GUARDING: Final = Guarding()  # a risk of 1e-5; a fault of an antenna in 1e-4 of the epochs: of those with one, levels may miss 1.3 %
+_SHARES: Final = ("found", "right", "wrong", "given", "outside", "beyond")
+_GIVEN: Final = (Finding.OK, Finding.EXCLUDED)
 _SHIFTS_S: Final = np.arange(-20.0, 20.5, 0.5)
 _ALIGNING_S: Final = 60  # the inertial system's heading begins at zero
 _STANDING_MPS: Final = 0.005
@@ -244,13 +247,22 @@ def _one_fault(layout: Layout, instant: Instant, direction: str, size_m: float, 
     measured = replace(instant.measured, values_ned_m=values)
     for antenna in gone:
         measured = measured.without(antenna)
-    return _outcome(judged(layout, measured, start=clean.ned_from_body if clean else None), clean, ANTENNAS[faulty])
-
-
-def _outcome(verdict: Judged, clean: Fit | None, faulty: str) -> Row:
+    verdict = judged(layout, measured, start=clean.ned_from_body if clean else None)
     if clean is None or verdict.fit is None:
         return {}
-    given = verdict.finding in (Finding.OK, Finding.EXCLUDED)
+    return _outcome(verdict, clean, ANTENNAS[faulty]) | _by_level(verdict, clean, levels(layout, measured, verdict, GUARDING).rad)
+
+
+def _by_level(verdict: Judged, clean: Fit, levels_rad: Vector) -> Row:
+    """Return whether an angle of an attitude that passed is beyond its protection level, and the levels (deg)."""
+    assert verdict.fit is not None
+    off = np.abs([wrapped(a - b) for a, b in zip(verdict.fit.angles_rad, clean.angles_rad, strict=True)])
+    return {"beyond": verdict.finding in _GIVEN and bool(np.any(off > levels_rad)), "levels_deg": np.degrees(levels_rad).tolist()}
+
+
+def _outcome(verdict: Judged, clean: Fit, faulty: str) -> Row:
+    assert verdict.fit is not None
+    given = verdict.finding in _GIVEN
     return {
         "found": verdict.finding is not Finding.OK,
         "right": verdict.excluded == (faulty,),
@@ -276,8 +288,9 @@ def sigmas_off(found: Fit, clean: Fit) -> float:
 
 def _counted(rows: list[Row]) -> Row:
     share = {name: 100.0 * float(np.mean([row[name] for row in rows])) for name in _SHARES}
-    given = [row["error_deg"] for row in rows if row["given"]]
-    return share | {"largest_error_deg": max(given, default=0.0)}
+    given = [row for row in rows if row["given"]]
+    middle = np.median([row["levels_deg"] for row in given], axis=0).tolist() if given else []
+    return share | {"largest_error_deg": max((row["error_deg"] for row in given), default=0.0), "levels_deg": middle}
 
 
 def degraded(layout: Layout, instants: Sequence[Instant]) -> Iterator[Row]:
@@ -460,10 +473,20 @@ def _fault_table(found: Row) -> str:
             f"{1e3 * row['size_m']:.0f}",
             *(f"{row[n]:.1f}" for n in _SHARES),
             f"{row['largest_error_deg']:.2f}",
+            " / ".join("" if np.isnan(value) else f"{value:.1f}" for value in row["levels_deg"]),
         ]
         for row in found["faults"]
     ]
-    heads = ("found %", "right one %", "wrong one %", "attitude given %", "outside its sigmas %", "largest error given deg")
+    heads = (
+        "found %",
+        "right one %",
+        "wrong one %",
+        "attitude given %",
+        "outside its sigmas %",
+        "outside its level %",
+        "largest error given deg",
+        "levels deg",
+    )
     return table(("lost", "fault", "mm", *heads), cells)
 
 

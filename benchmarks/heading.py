@@ -12,7 +12,6 @@ length in mm. Five minutes of one recording: how it repeats, not how right it is
 import argparse
 import json
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -28,7 +27,7 @@ from results import table
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
-from score_pos import FIX, read_track
+from score_pos import FIX
 
 Row = dict[str, Any]
 Vector = NDArray[np.float64]
@@ -59,11 +58,7 @@ def baselines_enu_m(solutions: Sequence[Solution]) -> Vector:
 
 def theirs(case: Case, systems: str, frequencies: int, mode: AmbiguityMode) -> Vector:
     """Return the same of rnx2rtkp."""
-    with tempfile.TemporaryDirectory() as folder:
-        conf, out = Path(folder) / "heading.conf", Path(folder) / "heading.pos"
-        conf.write_text(rtklib.plain_options("movingbase", systems, frequencies, mode.value) + "out-solformat=enu\n")
-        rtklib.run(["rnx2rtkp", "-k", str(conf), "-o", str(out), str(case.rover), str(case.base), *map(str, case.navigation)])
-        track = read_track(out)
+    track = rtklib.moving_base(case, systems, frequencies, mode.value)
     return track.vector_m[track.quality == FIX]
 
 

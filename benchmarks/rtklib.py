@@ -16,6 +16,7 @@ from typing import IO, Final
 import hatanaka
 
 from cases import Case
+from score_pos import Track, read_track
 
 PROGRAMS: Final = ("rnx2rtkp", "convbin")
 TIMEOUT_S: Final = 1200.0
@@ -127,6 +128,19 @@ def plain_options(mode: str, systems: str, frequencies: int, ambiguities: str) -
     bits = sum(_SYSTEM_BITS[system] for system in systems)
     chosen = {"pos1-posmode": mode, "pos1-navsys": bits, "pos1-frequency": _FREQUENCIES[frequencies], "pos2-armode": ambiguities}
     return _PLAIN + "pos2-gloarmode=off\n" + "".join(f"{name}={value}\n" for name, value in chosen.items())
+
+
+def moving_base(case: Case, systems: str, frequencies: int, ambiguities: str, length_m: float | None = None) -> Track:
+    """Return the baselines (east-north-up) of rnx2rtkp on a recorded pair as a moving base, whose length it is told or not."""
+    known = "" if length_m is None else f"pos2-baselen={length_m}\npos2-basesig=0.005\n"
+    with tempfile.TemporaryDirectory() as folder:
+        conf, out = Path(folder) / "moving.conf", Path(folder) / "moving.pos"
+        conf.write_text(plain_options("movingbase", systems, frequencies, ambiguities) + "out-solformat=enu\n" + known)
+        rover, rover_navigation = _rinex(case.rover, case.date, Path(folder))
+        base, base_navigation = _rinex(case.base, case.date, Path(folder))
+        navigation = map(str, (*case.navigation, *base_navigation, *rover_navigation))
+        run(["rnx2rtkp", "-k", str(conf), "-o", str(out), str(rover), str(base), *navigation])
+        return read_track(out)
 
 
 def converted(log: Path, folder: Path) -> tuple[Path, list[Path]]:

@@ -57,6 +57,7 @@ BENCHMARKS = (
     Benchmark("attitude_filter", "attitude_filter.py", "Attitude filters: errors, honesty, outages", ("--quick",), recordings=False),
     Benchmark("four_antennas", "four_antennas.py", "Attitude of four antennas in motion, with faults", ("--quick",)),
     Benchmark("attitude_search", "attitude_search.py", "Attitude from single epochs with known geometry", ("--quick",), recordings=False),
+    Benchmark("attitude_subsets", "attitude_subsets.py", "Single epochs of few satellites with the length known", ("--quick",)),
     Benchmark("sigmas", "sigmas.py", "Covariances against errors", ("--quick",)),
     Benchmark("slips", "slips.py", "Cycle slips: found, missed, and what these do", ("--quick",), recordings=False),
     Benchmark("integrity", "integrity.py", "Fix probabilities and protection levels against errors", ("--quick",)),

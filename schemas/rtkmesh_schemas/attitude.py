@@ -37,11 +37,17 @@ class AttitudeMessage(Wire, frozen=True, kw_only=True):
     ``finding`` of the test of the rigid body: ok, excluded, no redundancy, not identifiable, no attitude; ``chi_square`` with
     ``degrees`` of freedom. ``antennas_used``; ``antennas_excluded``: found at fault and left out; ``antennas_suspect``: one of these is
     at fault, which is not to be told. ``shape`` that the used ones span: point, line, plane, space. ``sources`` used with their kinds
-    (baseline, position, heading); ``sources_missing`` with the reason. Quaternions (w, x, y, z): ``ned_from_body`` of axes forward,
+    (baseline, position, heading; geometry: a baseline whose integers the known places of the antennas decided); ``sources_missing`` with
+    the reason. Quaternions (w, x, y, z): ``ned_from_body`` of axes forward,
     right, down; ``enu_from_flu`` of axes forward, left, up (ROS); NaN without heading, an unseen angle is level in them, and
     ``rotation_cov_ned_rad2`` (of the small rotation in NED) says how uncertain. ``rate_radps``: forward, right, down, of the filter.
     ``points``: of the body. ``predicted_s``: since the last measurement, of the filter's. ``waited_ms``: from the arrival of the
-    last source of the epoch to the publication; ``resets`` of the filter.
+    last source of the epoch to the publication; ``resets`` of the filter. ``geometry``: what became of the choice of integers by the
+    known places (accepted, or why not; empty: it was not needed) and the probability that what was accepted is wrong.
+
+    ``protection_rad``: heading, pitch and roll are further off than these with the configured risk, by what docs/concepts/rigid-body.md
+    assumes; infinite: nothing bounds the error; NaN: not seen, or not of an epoch (the filter's). ``protection_open``: antennas whose fault
+    no other would show.
     """
 
     source: str
@@ -82,6 +88,10 @@ class AttitudeMessage(Wire, frozen=True, kw_only=True):
     predicted_s: float = 0.0
     waited_ms: float = NAN
     resets: int = 0
+    geometry: str = ""
+    geometry_wrong_probability: float = NAN
+    protection_rad: Vector = NAN3
+    protection_open: list[str] = []
 
 
 class HeadingMessage(Wire, frozen=True, kw_only=True):

@@ -17,11 +17,13 @@ Ids = Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=64)], ...], M
 class AntennaPlaceTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude.ID.antennas.NAME]``: where the antenna of ingest NAME is in the vehicle: forward, right, down from its origin, m.
 
-    ``sigma_m``: how well that is known, one number or three.
+    ``sigma_m``: how well that is known, one number or three. ``covariance_m2``: instead, as ``rtkmesh antennas calibrate`` writes it, the
+    covariance (3x3, row-major) with itself and with antennas named before it; it counts between antennas that both have one.
     """
 
     position_m: Place
     sigma_m: float | tuple[float, float, float] = 0.0  # bounds are checked by the shell: msgspec 0.22 mixes those of a union up
+    covariance_m2: dict[str, tuple[Metres, Metres, Metres, Metres, Metres, Metres, Metres, Metres, Metres]] = {}
 
     @property
     def sigmas_m(self) -> Place:
@@ -98,6 +100,20 @@ class AttitudeFilterTable(Table, frozen=True, kw_only=True, forbid_unknown_field
     max_coast_s: Annotated[float, Meta(gt=0.0, le=3600.0)] = 10.0
 
 
+class AttitudeIntegrityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.integrity]``: protection levels. ``risk``: probability per epoch that an angle is further off than its level.
+
+    ``antenna_fault``: prior probability per epoch that what one antenna measures is off by more than its sigmas say, beside wrong integers,
+    whose probability the solvers tell. An attitude with levels above ``alert_heading_deg`` or ``alert_tilt_deg`` (pitch and roll) is
+    ``unavailable``.
+    """
+
+    risk: Annotated[float, Meta(ge=1e-12, le=0.1)] = 1e-5
+    antenna_fault: Annotated[float, Meta(ge=0.0, le=0.5)] = 1e-4
+    alert_heading_deg: Annotated[float, Meta(gt=0.0, le=180.0)] | None = None
+    alert_tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)] | None = None
+
+
 class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude.ID]``: heading, pitch and roll of a vehicle from its antennas.
 
@@ -110,7 +126,10 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     (kinematic solvers of these antennas) and ``[attitude.ID.headings.INGEST]``. ``wait_s``: how long an epoch waits for the last of
     them. ``rate``: attitudes at the epochs of the ``slowest`` of them, or at every epoch of the ``fastest`` with what it has.
     ``false_alarm``: probability per epoch to find a fault where there is none. ``unseen_tilt_deg``: one sigma of the tilt
-    about antennas on one line, which they do not see. ``points``: places of the vehicle whose position is published.
+    about antennas on one line, which they do not see. ``geometry``: known places (or ``length_m``) decide between the candidate integers of
+    baselines that are not fixed, or contradict each other; on, because it costs a millisecond and single epochs of one frequency have
+    attitudes by it, none of them wrong in benchmarks/attitude_search.py. ``max_tilt_deg``: the vehicle is never further from level,
+    which helps that choice. ``points``: places of the vehicle whose position is published.
     """
 
     solver: str = ""
@@ -129,6 +148,9 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     wait_s: Annotated[float, Meta(ge=0.001, le=10.0)] = 0.2
     false_alarm: Annotated[float, Meta(ge=1e-9, le=0.1)] = 1e-3
     unseen_tilt_deg: Annotated[float, Meta(ge=0.1, le=90.0)] = 10.0
+    geometry: bool = True
+    max_tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 180.0
+    integrity: AttitudeIntegrityTable = AttitudeIntegrityTable()
     imu: ImuTable | None = None
     filter: AttitudeFilterTable | None = None
     course: CourseTable | None = None

@@ -19,6 +19,7 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
 
     ``clocks_s``: receiver clock minus the system's time, by system in the order GRECJSI. ``float_*``: the solution without integers.
     ``zenith_delays_m``: of rover and base, where they are estimated; ``glonass_slope_m``: what phases are off per frequency channel.
+    ``candidates``: the candidate integers of this epoch follow on their own key.
     """
 
     source: str
@@ -82,6 +83,7 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     zenith_delays_m: tuple[float, float] = (float("nan"), float("nan"))
     glonass_slope_m: float = float("nan")
     base_station_id: int = 0
+    candidates: bool = False
 
 
 class SatellitesMessage(Wire, frozen=True, kw_only=True):

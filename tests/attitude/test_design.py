@@ -1,6 +1,7 @@
 """Planned layouts: the closed form, the paper's optimal layouts, the smallest faults by simulation."""
 
-from math import degrees, inf, isinf, isnan, sqrt
+from dataclasses import astuple
+from math import degrees, inf, isfinite, isinf, isnan, sqrt
 
 import numpy as np
 import pytest
@@ -9,8 +10,9 @@ from hypothesis import strategies as st
 
 from rtkmesh.attitude.chi_square import chi_square_limit
 from rtkmesh.attitude.design import Noise, design, noncentrality_for
-from rtkmesh.attitude.integrity import detection_power, noncentral_tail
-from rtkmesh.attitude.rigid_body import Layout, Shape
+from rtkmesh.attitude.integrity import Finding, detection_power, judged, noncentral_tail
+from rtkmesh.attitude.protection import Guarding
+from rtkmesh.attitude.rigid_body import Layout, Shape, positions
 
 SQUARE = Layout(("a", "b", "c", "d"), np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]))
 TRIANGLE = SQUARE.only(("a", "b", "c"))
@@ -79,6 +81,28 @@ def test_faults_that_nothing_sees_are_infinite():
     assert found.forward_m < 0.2
     across = design(SQUARE.only(("a", "b")), Noise(), CENTRE).detectable["a"]
     assert (across.forward_m < inf, across.right_m, across.down_m) == (True, inf, inf)
+
+
+@pytest.mark.parametrize("layout", [TRIANGLE, SQUARE])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_injected_faults_are_found_as_often_as_designed(layout: Layout, axis: int):
+    """Draws of noise with the smallest fault of an antenna; what is said to be found by nothing is found as seldom as no fault."""
+    noise, rng, n = Noise(0.005, 0.01), np.random.default_rng(axis), len(layout.names)
+    smallest_m = astuple(design(layout, noise, CENTRE, false_alarm=0.01, power=0.8).detectable["b"])[axis]
+    cov, places = noise.cov_m2(n), layout.positions_m.copy()
+    places[1, axis] += smallest_m if isfinite(smallest_m) else 0.05
+    draws = rng.multivariate_normal(places.ravel(), cov, 250).reshape(-1, n, 3)
+    found = float(np.mean([judged(layout, positions(draw, cov), np.eye(3), 0.01).finding is not Finding.OK for draw in draws]))
+    assert isfinite(smallest_m) is not (layout is TRIANGLE and axis == 2)
+    assert 0.72 < found < 0.88 if isfinite(smallest_m) else found < 0.04
+
+
+def test_levels_say_what_a_layout_bounds():
+    """Four bound everything, three their tilts by the level only, two nothing; faults that are rarer than the risk leave the noise."""
+    four, three, two = (design(layout, Noise(), CENTRE).levels_rad for layout in (SQUARE, TRIANGLE, SQUARE.only(("a", "b"))))
+    assert max(np.degrees(four)) < 12.0 < 28.0 < min(np.degrees(three[1:]))
+    assert (two[0], two[1], isnan(two[2])) == (inf, inf, True)
+    assert degrees(design(TRIANGLE, Noise(), CENTRE, guarding=Guarding(antenna_fault=0.0)).levels_rad[1]) == pytest.approx(12.0, abs=0.2)
 
 
 @given(st.floats(1e-6, 0.1), st.floats(0.1, 0.999), st.integers(1, 10))

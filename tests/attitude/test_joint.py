@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtkmesh.attitude.joint import Edge, angles_covariance, heading_edge, joint, point_of, receiver_variances
+from rtkmesh.attitude.joint import Edge, angles_covariance, heading_edge, joint, made_positive, point_of, receiver_variances
 from rtkmesh.attitude.rigid_body import Layout, Shape, fit
 from rtkmesh.attitude.rotation import angles_per_error, rotation_of_angles, vector_of, wrapped
 
@@ -50,6 +50,23 @@ def test_two_baselines_of_one_receiver_are_correlated():
     measured = joint(ANTENNAS, edges)
     np.testing.assert_allclose(measured.cov_m2[:3, 3:], ONE, atol=1e-15)
     np.testing.assert_allclose(measured.weights, [[-1, 1, 0], [-1, 0, 1]])
+
+
+def test_baselines_of_a_triangle_share_three_quarters_of_what_their_antennas_do():
+    """The rest is their own; a position with a base of its own shares with none but those of its antenna."""
+    edges = [Edge(*pair, np.zeros(3), ONE) for pair in (("a", "b"), ("a", "c"), ("b", "c"), ("its base", "a"))]
+    found = joint(ANTENNAS, edges)
+    assert found.cov_m2[0, 3] == pytest.approx(0.375 * ONE[0, 0])
+    assert found.cov_m2[0, 6] == pytest.approx(-0.375 * ONE[0, 0])
+    assert found.cov_m2[9, 6] == pytest.approx(0.0, abs=1e-12)
+    assert np.diag(found.cov_m2) == pytest.approx(np.tile(np.diag(ONE), 4))
+    assert found.weights.tolist() == [[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0], [0.0, -1.0, 1.0], [1.0, 0.0, 0.0]]
+
+
+def test_covariances_that_rounding_spoilt_are_made_positive():
+    spoilt = np.array([[1.0, 1.1, 0.0], [1.1, 1.0, 0.0], [0.0, 0.0, 0.0]]) * 1e-6
+    assert np.linalg.eigvalsh(made_positive(spoilt))[0] == pytest.approx(1e-8)
+    np.testing.assert_allclose(made_positive(ONE), ONE, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

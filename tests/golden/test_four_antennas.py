@@ -1,4 +1,4 @@
-"""The recording of four antennas in motion: its main figures hold (benchmarks/four_antennas.py, every epoch; no faults injected)."""
+"""The recording of four antennas in motion: its main figures hold (benchmarks/four_antennas.py, every epoch; faults in some)."""
 
 import sys
 from collections.abc import Iterator
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rtkmesh.attitude.calibration import Calibration, calibrate
+from rtkmesh.attitude.integrity import Finding
 
 pytestmark = pytest.mark.data
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -61,3 +62,15 @@ def test_every_epoch_of_three_antennas_has_an_attitude(benchmark: ModuleType, re
         off = benchmark.differences_deg([(mine @ constant, other) for mine, other in pairs])
         assert np.all(np.median(np.abs(off), axis=0) < limits)
         assert len(pairs) > 700
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_faults_that_are_not_found_are_within_the_protection_levels(benchmark: ModuleType, recording, calibration: Calibration, lost: int):
+    """Vertical faults of 5 to 20 cm that pass the tests: a good part is beyond its sigmas, none beyond its level."""
+    instants = [benchmark.scaled(i, calibration) for i in recording.instants]
+    ours = benchmark.verdicts(calibration.layout, instants)
+    clean = [i for i in instants if benchmark.antennas_of(i) == 4 and ours[round(i.time_s)].finding is Finding.OK][::48]
+    rows = [row for row in benchmark.faults(calibration.layout, clean, lost, np.random.default_rng(7)) if row["direction"] == "vertical"]
+    assert max(row["outside"] for row in rows) > 30.0
+    assert [row["beyond"] for row in rows] == [0.0] * len(rows)
+    assert [row["wrong"] for row in rows if row["size_m"] != 0.2] == [0.0] * (len(rows) - 1)

@@ -19,13 +19,17 @@ LENGTH_M = 2.0
 Solved = tuple[Solution, CandidateTable | None]
 
 
-def options(length_m: float | None, mode: AmbiguityMode = AmbiguityMode.CONTINUOUS) -> RtkOptions:
-    return RtkOptions(mode=Mode.MOVING_BASE, frequencies=1, systems="GE", baseline_length_m=length_m, ambiguity=AmbiguityOptions(mode=mode))
+def options(length_m: float | None, mode: AmbiguityMode = AmbiguityMode.CONTINUOUS, systems: str = "GE") -> RtkOptions:
+    return RtkOptions(
+        mode=Mode.MOVING_BASE, frequencies=1, systems=systems, baseline_length_m=length_m, ambiguity=AmbiguityOptions(mode=mode)
+    )
 
 
 @cache
-def solved(length_m: float | None, mode: AmbiguityMode = AmbiguityMode.CONTINUOUS) -> list[Solved]:
-    issues, engine = EphemerisTable(), Rtk(options(length_m, mode))
+def solved(
+    length_m: float | None, mode: AmbiguityMode = AmbiguityMode.CONTINUOUS, systems: str = "GE", told: tuple[float, float] | None = None
+) -> list[Solved]:
+    issues, engine = EphemerisTable(), Rtk(options(length_m, mode, systems))
     for satellite in SATELLITES.tolist():
         issues.add(broadcast(satellite, START))
     base, rover = (open_stream("boat", name, seed=5, rate_hz=1.0, start=START).receiver() for name in ("rover", "heading"))
@@ -33,7 +37,7 @@ def solved(length_m: float | None, mode: AmbiguityMode = AmbiguityMode.CONTINUOU
     assert engine.candidates() is None
     for k in range(4 if mode is AmbiguityMode.CONTINUOUS else 1):
         solution = engine.step(rover.observe(START + float(k)).epoch, base.observe(START + float(k)).epoch, issues, KLOBUCHAR)
-        out.append((solution, engine.candidates()))
+        out.append((solution, engine.candidates(told)))
     return out
 
 
@@ -66,12 +70,24 @@ def test_without_a_length_they_come_by_their_norm_and_nothing_nearer_is_left_out
         assert found.beyond >= found.norms[-1]
 
 
-def test_a_known_length_brings_up_what_has_it() -> None:
-    (_, free), (_, known) = solved(None, AmbiguityMode.INSTANTANEOUS)[0], solved(LENGTH_M, AmbiguityMode.INSTANTANEOUS)[0]
-    assert free is not None
+def off_m(table: CandidateTable | None) -> float:
+    """Return by how much candidates are not as long as the baseline, on average."""
+    assert table is not None
+    return float(np.abs(np.linalg.norm(table.baselines_ecef_m, axis=1) - LENGTH_M).mean())
+
+
+def test_a_known_length_brings_up_what_has_it_whoever_knows_it() -> None:
+    """The engine's options, or who asks; where the model is strong (two systems here) what is not kept cannot be right anyway."""
+    free, known, asked = (
+        solved(length_m, AmbiguityMode.INSTANTANEOUS, "G", told)[0][1]
+        for length_m, told in ((None, None), (2.0, None), (None, (2.0, 0.01)))
+    )
+    assert max(off_m(known), off_m(asked)) < 0.5 * off_m(free)
     assert known is not None
-    off = [float(np.abs(np.linalg.norm(t.baselines_ecef_m, axis=1) - LENGTH_M).mean()) for t in (free, known)]
-    assert off[1] < 0.5 * off[0]
+    assert asked is not None
+    assert np.array_equal(known.integers, asked.integers)
+    strong = solved(LENGTH_M, AmbiguityMode.INSTANTANEOUS)[0][1]
+    assert off_m(strong) > 0.5 * off_m(free)
 
 
 def test_an_epoch_without_a_base_has_none() -> None:

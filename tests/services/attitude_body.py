@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from rtkmesh.attitude.rotation import NED_FROM_ENU, rotation_of_angles
 from rtkmesh.gnss.frames import ecef_from_geodetic, enu_from_ecef
 from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
+from rtkmesh_schemas.candidates import CandidatesMessage
 from rtkmesh_schemas.config import Deployment, IngestTable, SolverTable
 from rtkmesh_schemas.config_attitude import AntennaPlaceTable, AttitudeTable
-from rtkmesh_schemas.keys import ATT, EVENT, HEADING, SOL, Role
+from rtkmesh_schemas.keys import ATT, CANDIDATES, EVENT, HEADING, SOL, Role
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import Event
 from rtkmesh_schemas.wire import Wire, decode
@@ -48,6 +49,7 @@ class Vehicle:
         self.places = {name: np.array(place) for name, place in places.items()}
         first, *others = places
         self.baselines = {f"{first}{name}": (first, name) for name in others}
+        self.baselines |= {name: (name[0], name[1]) for name in table.get("solvers", ()) if len(name) == 2}
         self.kinematic = {f"p{name}": name for name in places}
         solvers = {name: SolverTable(rover=end, base=start, mode="moving-base") for name, (start, end) in self.baselines.items()}
         solvers |= {name: SolverTable(rover=antenna, base="station") for name, antenna in self.kinematic.items()}
@@ -74,7 +76,7 @@ class Vehicle:
 
     def say(self, source: str, message: Wire) -> None:
         """Publish what a source says, and let the process take it."""
-        stream = HEADING if isinstance(message, HeadingMessage) else SOL
+        stream = {HeadingMessage: HEADING, CandidatesMessage: CANDIDATES}.get(type(message), SOL)
         MemoryBus(source, self.network).publish(stream, message)
         self.step()
 
@@ -85,6 +87,31 @@ class Vehicle:
         enu = tuple((NED_FROM_ENU @ ned + np.array(error_m)).tolist())
         told = {"source": name, "tow_s": tow_s, "baseline_enu_m": enu, "baseline_cov_enu_m2": COV}
         return solution(**told | values)
+
+    def candidates(
+        self, name: str, tow_s: float, right_norm: float = 4.0, wrong_norm: float = 3.0, right: bool = True, **values: Any
+    ) -> CandidatesMessage:
+        """Candidates of a moving-base solver: 20 wrong ones with norms from ``wrong_norm``, and among them, unless told, the right one.
+
+        Every antenna has its integers: those of right ones close around triangles.
+        """
+        start, end = self.baselines[name]
+        rng = np.random.default_rng(sum(map(ord, name)))
+        ned = rotation_of_angles(*ANGLES_RAD) @ (self.places[end] - self.places[start])
+        vectors = ned + np.vstack([np.zeros((int(right), 3)), rng.uniform(0.2, 0.6, (20, 3)) * rng.choice([-1.0, 1.0], (20, 3))])
+        own = [np.random.default_rng(ord(antenna)).integers(-99, 99, 8) for antenna in (start, end)]
+        integers = np.tile(own[1] - own[0], (len(vectors), 1))
+        integers[int(right) :, 1:] += rng.choice([-1, 1], (20, 7))
+        told = {
+            "source": name, "start_id": "x", "sequence": 0, "week": WEEK, "tow_s": tow_s, "rover": end, "base": start,
+            "satellite": [f"G{n:02}" for n in range(1, 9)], "signal": ["1C"] * 8, "base_signal": ["1C"] * 8, "count": 7,
+            "integers": (integers - integers[:, :1]).ravel().tolist(),
+            "baselines_ecef_m": (vectors @ NED_FROM_ENU @ ECEF_FROM_ENU.T).ravel().tolist(),
+            "covariance_ecef_m2": tuple((2.0 * SIGMA_M**2 * np.eye(3)).ravel().tolist()),
+            "norms": [right_norm] * right + np.arange(wrong_norm, wrong_norm + 20.0).tolist(), "beyond": 60.0,
+            "base_ecef_m": tuple(ORIGIN_ECEF_M.tolist()),
+        }  # fmt: skip
+        return CandidatesMessage(**told | values)
 
     def position(self, name: str, tow_s: float, error_m: Sequence[float] = (0.0, 0.0, 0.0), **values: Any) -> SolutionMessage:
         """What a kinematic solver says of its antenna, off by an error in ENU."""

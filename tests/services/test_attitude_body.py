@@ -205,13 +205,17 @@ def test_positions_give_points_of_the_body_with_the_bases_error() -> None:
     assert keel.lat_deg == pytest.approx(52.5, abs=1e-3)
 
 
-def test_positions_of_two_times_meet_at_one() -> None:
-    """Receivers' clocks: one tag is a millisecond late at 20 m/s, 2 cm that are no fault."""
+@pytest.mark.parametrize(("late_s", "clock_s"), [(0.001, 0.0), (0.0, 0.0007), (0.001, 0.0005), (0.0, nan), (0.0, 5.0)])
+def test_positions_of_two_instants_meet_at_one(late_s: float, clock_s: float) -> None:
+    """Tags and clocks of receivers: a millisecond at 20 m/s, 2 cm that are no fault. A clock that is none moves nothing."""
     vehicle = Vehicle(solvers=(), positions=("pa", "pb", "pc", "pd"))
     east = tuple((ECEF_FROM_ENU @ np.array([20.0, 0.0, 0.0])).tolist())
+    ahead_s = clock_s if clock_s < 0.1 else 0.0
     for name in ("pa", "pb", "pc", "pd"):
-        late_s = 0.001 if name == "pd" else 0.0
-        vehicle.say(name, vehicle.position(name, 10.0 + late_s, (20.0 * late_s, 0.0, 0.0), velocity_ecef_mps=east))
+        mine = name == "pd"
+        error_m = 20.0 * (late_s - ahead_s) if mine else 0.0
+        told = {"velocity_ecef_mps": east, "receiver_clock_s": clock_s if mine else 0.0}
+        vehicle.say(name, vehicle.position(name, 10.0 + late_s * mine, (error_m, 0.0, 0.0), **told))
     [message] = vehicle.attitudes()
     assert angles_deg(message) == pytest.approx([degrees(a) for a in ANGLES_RAD], abs=1e-4)
     assert message.chi_square < 1e-6

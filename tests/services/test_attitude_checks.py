@@ -2,9 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh_schemas.errors import ConfigError
+from rtkmesh_services.attitude.body import layout_of
+from rtkmesh_services.cli.antenna_layouts import layout_toml, read_layouts
 from rtkmesh_services.runtime.attitude_checks import notes_on
 from rtkmesh_services.runtime.configuration import load_deployment, parse_deployment
 
@@ -36,9 +40,10 @@ right = { position_m = [0.0, 1.2, 0.0] }
 
 
 def test_a_right_file_has_no_fault() -> None:
-    table = parse_deployment(FILE, "x.toml").attitude["boat"]
+    deployment = parse_deployment(FILE, "x.toml")
+    table = deployment.attitude["boat"]
     assert (table.sources, table.antennas["front"].sigmas_m) == (("along", "place"), (0.001, 0.002, 0.003))
-    assert list(notes_on("boat", table)) == []
+    assert list(notes_on("boat", table, deployment)) == []
 
 
 @pytest.mark.parametrize(
@@ -72,8 +77,15 @@ def test_faults_are_said(old: str, new: str, expected: str) -> None:
 
 
 def test_antennas_on_one_line_are_a_note() -> None:
-    table = parse_deployment(FILE.replace("[0.0, 1.2, 0.0]", "[1.0, 0.0005, 0.0]"), "x.toml").attitude["boat"]
-    assert list(notes_on("boat", table)) == ["[attitude.boat] its 3 antennas are on one line: the tilt about it is not seen"]
+    deployment = parse_deployment(FILE.replace("[0.0, 1.2, 0.0]", "[1.0, 0.0005, 0.0]"), "x.toml")
+    notes = list(notes_on("boat", deployment.attitude["boat"], deployment))
+    assert notes == ["[attitude.boat] its 3 antennas are on one line: the tilt about it is not seen"]
+
+
+def test_a_length_that_a_solver_does_not_know_is_a_note() -> None:
+    deployment = parse_deployment(FILE.replace("baseline_length_m = 2.0", ""), "x.toml")
+    notes = list(notes_on("boat", deployment.attitude["boat"], deployment))
+    assert notes == ["[solver.along] fixes sooner with 'baseline_length_m = 2.000', which [attitude.boat] knows"]
 
 
 @pytest.mark.parametrize("head", ["attitude.boat.antennas", "attitude.calibrated.antennas", "antennas"])
@@ -86,6 +98,35 @@ def test_a_layout_file_has_the_places(tmp_path: Path, head: str) -> None:
     (tmp_path / "x.toml").write_text(kept.replace('positions = ["place"]', 'positions = ["place"]\nlayout = "layout.toml"') + own)
     antennas = load_deployment(tmp_path / "x.toml").attitude["boat"].antennas
     assert {name: place.position_m[:2] for name, place in antennas.items()} == {"rear": (0, 0), "front": (2, 0), "right": (0, 1.2)}
+
+
+def test_the_covariance_of_a_layout_file_is_that_of_the_service(tmp_path: Path) -> None:
+    """A calibrated layout keeps what its antennas have in common on its way through the files into the rigid body."""
+    root = np.random.default_rng(1).normal(0.0, 2e-3, (9, 9))
+    known = Layout(("rear", "front", "right"), np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.2, 0.0]]), root @ root.T)
+    (tmp_path / "layout.toml").write_text(layout_toml(known, "boat", ["calibrated"]))
+    kept = FILE[: FILE.index("[attitude.boat.antennas]")]
+    (tmp_path / "x.toml").write_text(kept.replace('positions = ["place"]', 'positions = ["place"]\nlayout = "layout.toml"'))
+    found = layout_of(load_deployment(tmp_path / "x.toml").attitude["boat"])
+    assert found.cov_m2 is not None
+    np.testing.assert_allclose(found.cov_m2, root @ root.T, atol=1e-8)
+    again = read_layouts(tmp_path / "layout.toml")["boat"].cov_m2
+    np.testing.assert_allclose(again, found.cov_m2)  # pyright: ignore[reportArgumentType]  it has one
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ("{ frond = [0, 0, 0, 0, 0, 0, 0, 0, 0] }", "covariance_m2 of 'rear' with 'frond', which is none; did you mean 'front'"),
+        ("{ rear = [-1e-6, 0, 0, 0, 1e-6, 0, 0, 0, 1e-6] }", "covariance_m2 of 'rear' has negative variances"),
+        ("{ rear = [1e-6, 2e-6, 0, 2e-6, 1e-6, 0, 0, 0, 1e-6] }", "covariance_m2 of 'rear' with 'rear' is larger than their variances"),
+        ("{ rear = [1e-6, 0, 0] }", "covariance_m2"),
+    ],
+)
+def test_covariances_that_are_none_are_told(told: str, expected: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_deployment(FILE.replace("sigma_m = 0.002", f"covariance_m2 = {told}", 1), "x.toml")
+    assert expected in str(caught.value)
 
 
 def test_a_fault_of_a_layout_file_names_that_file(tmp_path: Path) -> None:

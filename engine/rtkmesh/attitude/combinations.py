@@ -16,6 +16,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Stack = NDArray[np.float64]  # (k, a, b)
+Axes = NDArray[np.float64]  # (k, k, 3, 3)
 
 _STEPS: Final = 8
 _CONVERGED_RAD: Final = 1e-7
@@ -26,34 +27,36 @@ _UNSEEN: Final = 1e-9  # weight that keeps a rotation which nothing measures in 
 
 @kernel
 def search_combinations(
-    values_m: Stack, norms: Matrix, sizes: Indices, body_m: Matrix, weights: Stack, own_weights: Stack, spread_m2: Matrix,
-    predicted: Matrix, predicted_weight: Matrix, tilt_rad: float, two: Indices, costs: Vector,
+    values_m: Stack, norms: Matrix, sizes: Indices, body_m: Matrix, weights: Stack, spread_m2: Stack, axes: Axes, predicted: Matrix,
+    predicted_weight: Matrix, tilt_rad: float, two: Indices, costs: Vector, best: Matrix,
 ) -> int:  # fmt: skip
-    """Write the two combinations of least cost (2, k) and their costs (infinite: none); return how many fits that took.
+    """Write the two combinations of least cost (2, k), their costs (infinite: none) and the rotation of the best; return how many fits that
+    took.
 
-    ``values_m`` (k, m, 3) and ``norms`` (k, m) are the first ``sizes`` candidates of each of k baselines (NED), sorted by norm; ``body_m``
-    (k, 3) the baselines in the body; ``weights`` (k, 3k, 3k) the inverse joint covariance of the first 1, 2, .. k of them,
-    ``own_weights`` (k, 3, 3) that of each by itself; ``spread_m2`` (k, k) the largest variance of a component of each (diagonal) and of
-    differences of two. ``predicted`` is where the rotation is expected, with its weight (3, 3; 0: no knowledge); ``tilt_rad`` by how
-    much the body's down axis may be off the vertical.
+    ``values_m`` (k, m, 3) and ``norms`` (k, m) are the first ``sizes`` candidates of each of k baselines (NED); ``body_m`` (k, 3) the
+    baselines in the body; ``weights`` (k, 3k, 3k) the inverse joint covariance of the first 1, 2, .. k of them; ``spread_m2`` (k, k, 3)
+    and ``axes`` (k, k, 3, 3) variances and axes (columns) of the covariance of each (diagonal) and of differences of two. ``predicted``
+    is where the rotation is expected, with its weight (3, 3; 0: no knowledge); ``tilt_rad`` by how much the body's down axis may be off
+    the vertical.
     """
     k, fits, depth = len(body_m), 0, 0
-    chosen, place, rotation = np.empty((k, 3)), np.full(k, -1), np.empty((3, 3))
+    chosen, place, step, rotation = np.empty((k, 3)), np.full(k, -1), np.full(k, -1), np.empty((3, 3))
     sums, rest, worst = np.zeros(k + 1), np.zeros(k + 1), np.zeros(k + 1)
-    alone = _each_alone(values_m, sizes, body_m, own_weights, predicted, predicted_weight, tilt_rad)
+    alone, order = _each_alone(values_m, norms, sizes, body_m, spread_m2, axes, tilt_rad)
     for j in range(k - 1, -1, -1):
-        rest[j] = rest[j + 1] + norms[j, 0]
+        rest[j] = rest[j + 1] + norms[j, : sizes[j]].min()
     costs[:] = np.inf
     while depth >= 0:
-        place[depth] += 1
-        if place[depth] >= sizes[depth]:
+        step[depth] += 1
+        if step[depth] >= sizes[depth]:
             depth -= 1
             continue
+        place[depth] = order[depth, step[depth]]
         total, least = sums[depth] + norms[depth, place[depth]], max(worst[depth], alone[depth, place[depth]])
         if total + rest[depth + 1] + least >= costs[1]:
             continue
         chosen[depth] = values_m[depth, place[depth]]
-        if total + rest[depth + 1] + _least_misfit(chosen, body_m, spread_m2, depth) >= costs[1]:
+        if total + rest[depth + 1] + _least_misfit(chosen, body_m, spread_m2, axes, depth) >= costs[1]:
             continue
         if depth > 0 or k == 1:
             least = fit_rotation(chosen, body_m, weights[depth], predicted, predicted_weight, depth + 1, rotation)
@@ -62,51 +65,75 @@ def search_combinations(
             continue
         if depth + 1 < k:
             depth += 1
-            sums[depth], worst[depth], place[depth] = total, least, -1
+            sums[depth], worst[depth], step[depth] = total, least, -1
         elif rotation[2, 2] >= cos(tilt_rad) or _straight(body_m):
-            _take(total + least, place, two, costs)
+            _take(total + least, place, rotation, two, costs, best)
     return fits
 
 
 @kernel
 def _each_alone(
-    values_m: Stack, sizes: Indices, body_m: Matrix, own_weights: Stack, predicted: Matrix, predicted_weight: Matrix, tilt_rad: float
-) -> Matrix:
-    """Return the chi-square (k, m) of each candidate by itself: of its length, and of its direction where that is expected; infinite for
-    one that climbs too steeply.
-    """
-    k = len(body_m)
-    alone, rotation = np.full((k, values_m.shape[1]), np.inf), np.empty((3, 3))
+    values_m: Stack, norms: Matrix, sizes: Indices, body_m: Matrix, spread_m2: Stack, axes: Axes, tilt_rad: float
+) -> tuple[Matrix, Indices]:  # fmt: skip
+    """Return what the length of each candidate (k, m) adds to its norm (infinite: it climbs too steeply) and the order of the sums."""
+    k, m = norms.shape
+    alone, order, none = np.full((k, m), np.inf), np.zeros((k, m), np.int64), np.zeros(3)
     for j in range(k):
         for c in range(sizes[j]):
             if _climb(values_m[j, c], body_m[j]) <= tilt_rad:
-                one, its_body = values_m[j, c : c + 1], body_m[j : j + 1]
-                alone[j, c] = fit_rotation(one, its_body, own_weights[j], predicted, predicted_weight, 1, rotation)
-    return alone
+                alone[j, c] = _misfit_of_distance(values_m[j, c], none, _length(body_m[j]), spread_m2[j, j], axes[j, j])
+        order[j] = np.argsort(norms[j] + alone[j], kind="mergesort")
+    return alone, order
 
 
 @kernel
-def _take(cost: float, place: Indices, two: Indices, costs: Vector) -> None:
+def _take(cost: float, place: Indices, rotation: Matrix, two: Indices, costs: Vector, best: Matrix) -> None:
     """Take a combination among the two best; it is better than the second."""
     at = 0 if cost < costs[0] else 1
     if at == 0:
         costs[1] = costs[0]
         two[1] = two[0]
+        best[:, :] = rotation
     costs[at] = cost
     two[at] = place
 
 
 @kernel
-def _least_misfit(chosen: Matrix, body_m: Matrix, spread_m2: Matrix, last: int) -> float:
-    """Return a lower bound of the chi-square by the distances of the last baseline's end to those before: no rotation is needed.
-
-    The variance of a length is at most the largest one of the vector's components.
-    """
-    worst = 0.0
+def _least_misfit(chosen: Matrix, body_m: Matrix, spread_m2: Stack, axes: Axes, last: int) -> float:
+    """Return a lower bound of the chi-square by the distances of the last baseline's end to those before: no rotation is needed."""
+    worst, apart = 0.0, np.empty(3)
     for j in range(last):
-        apart = _length(chosen[last] - chosen[j]) - _length(body_m[last] - body_m[j])
-        worst = max(worst, apart**2 / spread_m2[last, j])
+        for i in range(3):
+            apart[i] = body_m[last, i] - body_m[j, i]
+        worst = max(worst, _misfit_of_distance(chosen[last], chosen[j], _length(apart), spread_m2[last, j], axes[last, j]))
     return worst
+
+
+@kernel
+def _misfit_of_distance(end_m: Vector, start_m: Vector, distance_m: float, variances_m2: Vector, axes: Matrix) -> float:
+    """Return a lower bound of the squared misfit of a vector, end minus start, whose true length is known.
+
+    Sought is the least of sum((y - x)^2 / e) with x as long as that, in the axes of the covariance. Lagrange's dual is below it for
+    every multiplier, and next to it for one that is nearly right: two Newton steps.
+    """
+    y, x_square, slope, multiplier, bound = np.empty(3), 0.0, 0.0, 0.0, 0.0
+    if not distance_m > 0.0:
+        return 0.0
+    lowest = -0.9 / max(variances_m2[0], variances_m2[1], variances_m2[2])
+    for i in range(3):
+        y[i] = axes[0, i] * (end_m[0] - start_m[0]) + axes[1, i] * (end_m[1] - start_m[1]) + axes[2, i] * (end_m[2] - start_m[2])
+    for _ in range(2):
+        x_square, slope = 0.0, 0.0
+        for i in range(3):
+            shrunk = 1.0 / (1.0 + multiplier * variances_m2[i])
+            x_square += (y[i] * shrunk) ** 2
+            slope += (y[i] * shrunk) ** 2 * shrunk * variances_m2[i]
+        if not slope > 0.0:
+            return 0.0
+        multiplier = max(multiplier + (sqrt(x_square) / distance_m - 1.0) * x_square / slope, lowest)
+    for i in range(3):
+        bound += y[i] * y[i] / (1.0 + multiplier * variances_m2[i])
+    return max(0.0, multiplier * (bound - distance_m * distance_m))
 
 
 @kernel
@@ -189,20 +216,22 @@ def fit_rotation(
     Gauss-Newton, with one shorter step where a step does not lower it: ``rigid_body.fit`` without its covariances.
     """
     _start(chosen, body_m, predicted, count, rotation)
-    N, g, trial = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
-    chi = _linearised(chosen, body_m, weight, predicted, predicted_weight, count, rotation, N, g)
+    N, g, trial, expected = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.any(predicted_weight != 0.0)
+    r, J = np.empty(3 * count), np.zeros((3 * count, 3))
+    chi = _linearised(chosen, body_m, weight, count, rotation, r, J, N, g)
+    chi += _pulled(predicted, predicted_weight, rotation, N, g) if expected else 0.0
     for _ in range(_STEPS):
-        step = _solved(N, g)
-        size = _length(step)
-        if not size > _CONVERGED_RAD:
+        step, now = _solved(N, g), np.inf
+        if not _length(step) > _CONVERGED_RAD:
             break
-        _turned(step, rotation, trial)
-        now = _linearised(chosen, body_m, weight, predicted, predicted_weight, count, trial, N, g)
-        if now > chi:
-            _turned(0.3 * step, rotation, trial)
-            now = _linearised(chosen, body_m, weight, predicted, predicted_weight, count, trial, N, g)
-            if now > chi:
+        for share in (1.0, 0.3):
+            _turned(share * step, rotation, trial)
+            now = _linearised(chosen, body_m, weight, count, trial, r, J, N, g)
+            now += _pulled(predicted, predicted_weight, trial, N, g) if expected else 0.0
+            if now <= chi:
                 break
+        if now > chi:
+            break
         rotation[:, :] = trial
         done = chi - now < _ENOUGH * (1.0 + now)
         chi = now
@@ -213,26 +242,20 @@ def fit_rotation(
 
 @kernel
 def _linearised(
-    chosen: Matrix, body_m: Matrix, weight: Matrix, predicted: Matrix, predicted_weight: Matrix, count: int, rotation: Matrix, N: Matrix,
-    g: Vector,
-) -> float:  # fmt: skip
-    """Write the normal equations for a small turn of the rotation; return the chi-square there."""
-    n = 3 * count
-    r, J, chi = np.empty(n), np.zeros((n, 3)), 0.0
+    chosen: Matrix, body_m: Matrix, weight: Matrix, count: int, rotation: Matrix, r: Vector, J: Matrix, N: Matrix, g: Vector
+) -> float:
+    """Write residuals, their derivatives and the normal equations for a small turn of the rotation; return the chi-square there."""
+    n, chi = 3 * count, 0.0
     for k in range(count):
-        v = _times(rotation, body_m[k])
+        x, y, z = body_m[k, 0], body_m[k, 1], body_m[k, 2]
         for i in range(3):
-            r[3 * k + i] = chosen[k, i] - v[i]
-        J[3 * k, 1], J[3 * k, 2], J[3 * k + 1, 0] = v[2], -v[1], -v[2]
-        J[3 * k + 1, 2], J[3 * k + 2, 0], J[3 * k + 2, 1] = v[0], v[1], -v[0]
-    off = _turn_between(rotation, predicted)
-    pull = _times(predicted_weight, off)
+            v = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z
+            r[3 * k + i] = chosen[k, i] - v
+            J[3 * k + (i + 1) % 3, (i + 2) % 3], J[3 * k + (i + 2) % 3, (i + 1) % 3] = v, -v
     for a in range(3):
-        chi += off[a] * pull[a]
-        g[a] = pull[a]
+        g[a] = 0.0
         for b in range(3):
-            N[a, b] = predicted_weight[a, b]
-        N[a, a] += _UNSEEN
+            N[a, b] = _UNSEEN if a == b else 0.0
     for i in range(n):
         wr, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0
         for j in range(n):
@@ -247,6 +270,19 @@ def _linearised(
             N[a, 0] += J[i, a] * w0
             N[a, 1] += J[i, a] * w1
             N[a, 2] += J[i, a] * w2
+    return chi
+
+
+@kernel
+def _pulled(predicted: Matrix, predicted_weight: Matrix, rotation: Matrix, N: Matrix, g: Vector) -> float:
+    """Add what the prediction says to the normal equations; return its chi-square."""
+    off, chi = _turn_between(rotation, predicted), 0.0
+    pull = _times(predicted_weight, off)
+    for a in range(3):
+        chi += off[a] * pull[a]
+        g[a] += pull[a]
+        for b in range(3):
+            N[a, b] += predicted_weight[a, b]
     return chi
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.attitude.chi_square import chi_square_limit
-from rtkmesh.attitude.integrity import noncentral_tail
+from rtkmesh.attitude.integrity import judged, noncentral_tail
+from rtkmesh.attitude.protection import Guarding, levels
 from rtkmesh.attitude.rigid_body import Fit, Layout, Measured, Shape, fit, positions
 
 Vector = NDArray[np.float64]
@@ -62,18 +63,26 @@ class Detectable:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What a layout gives: with everything, without each antenna, and what faults of each are seen."""
+    """What a layout gives: with everything, without each antenna, and what faults of each are seen.
+
+    ``levels_rad``: protection levels of heading, pitch, roll of an epoch whose measurements agree to nothing; NaN: not seen.
+    """
 
     whole: Sigmas
     without: dict[str, Sigmas]
     detectable: dict[str, Detectable]
+    levels_rad: tuple[float, float, float]
 
 
-def design(layout: Layout, noise: Noise, point_body_m: Vector, *, false_alarm: float = 1e-3, power: float = 0.9) -> Design:
+def design(
+    layout: Layout, noise: Noise, point_body_m: Vector, *, false_alarm: float = 1e-3, power: float = 0.9, guarding: Guarding | None = None
+) -> Design:
     """Return what a layout gives for a point of the body (forward, right, down from the layout's origin)."""
     measured = positions(layout.positions_m, noise.cov_m2(len(layout.names)))
     without = {name: _sigmas(layout, measured.without(i), point_body_m) for i, name in enumerate(layout.names)}
-    return Design(_sigmas(layout, measured, point_body_m), without, _detectable(layout, measured, false_alarm, power))
+    heading, pitch, roll = levels(layout, measured, judged(layout, measured, np.eye(3)), guarding or Guarding()).rad.tolist()
+    detectable = _detectable(layout, measured, false_alarm, power)
+    return Design(_sigmas(layout, measured, point_body_m), without, detectable, (heading, pitch, roll))
 
 
 def _sigmas(layout: Layout, measured: Measured, point_body_m: Vector) -> Sigmas:

@@ -6,6 +6,7 @@ Source: seed_systems.md 3.3 (detection and identification figures); outlier test
 geodetic networks" (1968).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import combinations
@@ -47,12 +48,16 @@ _INTEGRITY: Final = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A fit and what to think of it. ``excluded``: the antennas left out of it; ``suspects``: those of which one may be at fault."""
+    """A fit and what to think of it. ``excluded``: the antennas left out of it; ``suspects``: those of which one may be at fault.
+
+    ``instead``: other exclusions of as many antennas, and by how much larger their chi-squares are.
+    """
 
     fit: Fit | None
     finding: Finding
     excluded: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
+    instead: tuple[tuple[tuple[str, ...], float], ...] = ()
 
     @property
     def integrity(self) -> Integrity:
@@ -78,7 +83,7 @@ def judged(layout: Layout, measured: Measured, start: Matrix | None = None, fals
         found = _without(layout, measured, whole, list(combinations(seen, count)), false_alarm)
         if found is not None:
             return found
-    return Judged(whole, Finding.NOT_IDENTIFIABLE, suspects=tuple(layout.names[i] for i in seen))
+    return Judged(whole, Finding.NOT_IDENTIFIABLE, suspects=_named(layout, seen))
 
 
 def _without(layout: Layout, measured: Measured, whole: Fit, sets: list[tuple[int, ...]], false_alarm: float) -> Judged | None:
@@ -88,11 +93,16 @@ def _without(layout: Layout, measured: Measured, whole: Fit, sets: list[tuple[in
     if not agreeing:
         return None
     best, excluded = min(agreeing, key=lambda row: row[0].chi_square)
-    rivals = [chosen for f, chosen in fits if f is not None and f.chi_square - best.chi_square < _CLEARLY_WORSE]
+    worse = {chosen: f.chi_square - best.chi_square for f, chosen in fits if f is not None}
+    rivals = [chosen for chosen, more in worse.items() if more < _CLEARLY_WORSE]
     if best.degrees < 1 or len(rivals) > 1:
-        suspects = sorted({i for chosen in rivals for i in chosen})
-        return Judged(whole, Finding.NOT_IDENTIFIABLE, suspects=tuple(layout.names[i] for i in suspects))
-    return Judged(best, Finding.EXCLUDED, excluded=tuple(layout.names[i] for i in excluded))
+        return Judged(whole, Finding.NOT_IDENTIFIABLE, suspects=_named(layout, sorted({i for chosen in rivals for i in chosen})))
+    instead = tuple((_named(layout, chosen), more) for chosen, more in worse.items() if chosen != excluded)
+    return Judged(best, Finding.EXCLUDED, excluded=_named(layout, excluded), instead=instead)
+
+
+def _named(layout: Layout, antennas: Sequence[int]) -> tuple[str, ...]:
+    return tuple(layout.names[i] for i in antennas)
 
 
 def _fit_without(layout: Layout, measured: Measured, whole: Fit, antennas: tuple[int, ...]) -> Fit | None:

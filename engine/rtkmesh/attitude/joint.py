@@ -8,6 +8,7 @@ in the position. Source: seed_systems.md 3.2 (end) and 3.3. NED, metres.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import cos, sin, sqrt
 from typing import Final
 
@@ -22,6 +23,7 @@ Matrix = NDArray[np.float64]
 
 _OWN_SHARE: Final = 0.25  # of an edge's variance that is no receiver's, where edges close loops: they were solved one by one
 _FLOOR_SHARE: Final = 0.05  # of the mean variance that a receiver has at least
+_LEAST_M: Final = 1e-4  # no sigma is smaller
 _LOOSE: Final = 1.0  # sigma, as a share of the length, across what a heading does not say
 _SEEN_SHARE: Final = 0.5  # of the unseen angle's sigma: an angle less certain than this share of it is not seen
 
@@ -30,7 +32,8 @@ _SEEN_SHARE: Final = 0.5  # of the unseen angle's sigma: an angle less certain t
 class Edge:
     """A measured vector (3) from ``start`` to ``end`` with covariance (3x3). Ends that no layout knows are fixed points at the origin.
 
-    ``alone``: its error has nothing to do with that of other edges (a heading that a receiver computed).
+    ``alone``: its error has nothing to do with that of other edges (a heading that a receiver computed). ``wrong``: probability that its
+    integers are.
     """
 
     start: str
@@ -38,6 +41,7 @@ class Edge:
     vector_ned_m: Vector
     cov_m2: Matrix
     alone: bool = False
+    wrong: float = 0.0
 
 
 def joint(layout: Layout, edges: Sequence[Edge]) -> Measured:
@@ -48,6 +52,12 @@ def joint(layout: Layout, edges: Sequence[Edge]) -> Measured:
         if name in layout.names:
             weights[:, layout.names.index(name)] += signs[:, column]
     return Measured(weights, np.array([edge.vector_ned_m for edge in edges]), _joint_covariance(edges, signs))
+
+
+def made_positive(cov_m2: Matrix) -> Matrix:
+    """Return a covariance (3x3), made positive where rounding in a file left it not so."""
+    values, vectors = np.linalg.eigh(0.5 * (cov_m2 + cov_m2.T))
+    return (vectors * np.maximum(values, _LEAST_M**2)) @ vectors.T
 
 
 def heading_edge(
@@ -82,13 +92,23 @@ def _joint_covariance(edges: Sequence[Edge], signs: Matrix) -> Matrix:
     total = np.zeros((len(edges), 3, len(edges), 3))
     if shared:
         theirs, used = signs[shared], np.any(signs[shared] != 0.0, axis=0)
-        share = _OWN_SHARE if np.linalg.matrix_rank(theirs) < len(shared) else 0.0
+        share = _OWN_SHARE if _closes_loops(theirs.tobytes(), theirs.shape) else 0.0
         variances = receiver_variances(np.abs(theirs[:, used]), (1.0 - share) * own[shared])
         total[np.ix_(shared, range(3), shared, range(3))] = np.einsum("ki,iab,li->kalb", theirs[:, used], variances, theirs[:, used])
         own[shared] *= share
     for row, cov in enumerate(own):
         total[row, :, row, :] += cov
     return total.reshape(3 * len(edges), 3 * len(edges))
+
+
+@lru_cache(maxsize=64)
+def _closes_loops(signs: bytes, shape: tuple[int, int]) -> bool:
+    return int(np.linalg.matrix_rank(np.frombuffer(signs).reshape(shape))) < shape[0]
+
+
+@lru_cache(maxsize=64)
+def _inverse(members: bytes, shape: tuple[int, int]) -> Matrix:
+    return np.linalg.pinv(np.frombuffer(members, np.float64).reshape(shape)).astype(np.float64)
 
 
 def receiver_variances(members: Matrix, covs_m2: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -98,7 +118,7 @@ def receiver_variances(members: Matrix, covs_m2: NDArray[np.float64]) -> NDArray
     """
     mean = covs_m2.mean(axis=0) / 2.0
     missing = covs_m2 - np.einsum("km,ab->kab", members, mean)
-    variances = mean + np.einsum("mk,kab->mab", np.linalg.pinv(members), missing)
+    variances = mean + np.einsum("mk,kab->mab", _inverse(members.tobytes(), members.shape), missing)
     values, vectors = np.linalg.eigh(variances)
     floor = _FLOOR_SHARE * float(np.trace(mean)) / 3.0
     return np.einsum("mab,mb,mcb->mac", vectors, np.maximum(values, floor), vectors)

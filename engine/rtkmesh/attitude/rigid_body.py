@@ -170,19 +170,19 @@ class Fit:
         return self.origin_ned_m + arm, jacobian @ self.cov @ jacobian.T
 
 
-def fit(layout: Layout, measured: Measured, start: Matrix | None = None) -> Fit | None:
+def fit(layout: Layout, measured: Measured, start: Matrix | None = None, near: Matrix | None = None) -> Fit | None:
     """Return the rotation (and origin) that fits best; None when what was measured does not see a direction in space.
 
     ``start``: a rotation (3x3) near the answer; without one the SVD gives it. Antennas on one line have an answer, about which the
     body may still turn freely: it is the one next to ``start``, else to level; what the fit says of points off the line is
-    said as if the body did not turn about it.
+    said as if the body did not turn about it. ``near``: a rotation that is nearly the answer (on a line but for the turn about it).
     """
     body = measured.weights @ layout.positions_m
     shape = _directions(body, measured.weights)
     if shape is Shape.POINT or (shape is not Shape.LINE and not _enough(body, measured)):
         return None
     if start is None or shape is not Shape.LINE:
-        start = kabsch(body, measured)
+        start = kabsch(body, measured) if near is None else near
         start = start if shape is not Shape.LINE else _levelled(start, _line(body, measured.weights.sum(axis=1)))
     return _refined(layout, measured, body, shape, start)
 
@@ -222,8 +222,8 @@ def _refined(layout: Layout, measured: Measured, body: Matrix, shape: Shape, sta
     rotation, origin = start, _first_origin(measured, body, start) if absolute else np.zeros(3)
     weight, cov, step, share_of_step = np.eye(0), np.eye(0), np.full(3, np.inf), 1.0
     for _ in range(_STEPS):
-        weight = np.linalg.inv(_covariance(layout, measured, rotation))
-        jacobian = _jacobian(body @ rotation.T, share, absolute=absolute)
+        weight = np.linalg.inv(misfit_covariance(layout, measured, rotation))
+        jacobian = jacobian_of(body @ rotation.T, share, absolute=absolute)
         residuals = measured.values_ned_m - body @ rotation.T - np.outer(share, origin)
         seen = _seen_directions(None if line is None else rotation @ line, len(jacobian[0]))
         cov = seen @ np.linalg.inv(seen.T @ jacobian.T @ weight @ jacobian @ seen) @ seen.T
@@ -260,7 +260,7 @@ def _seen_directions(unseen: Vector | None, unknowns: int) -> Matrix:
     return np.hstack([across, basis[:, 3:]])
 
 
-def _jacobian(turned: Matrix, share: Vector, *, absolute: bool) -> Matrix:
+def jacobian_of(turned: Matrix, share: Vector, *, absolute: bool) -> Matrix:
     """Return the derivative (3k, 3 or 6) of the predicted vectors by the rotation's error and the origin."""
     rows = [
         np.hstack([-skew(vector), weight * np.eye(3)]) if absolute else -skew(vector) for vector, weight in zip(turned, share, strict=True)
@@ -268,7 +268,7 @@ def _jacobian(turned: Matrix, share: Vector, *, absolute: bool) -> Matrix:
     return np.vstack(rows)
 
 
-def _covariance(layout: Layout, measured: Measured, rotation: Matrix) -> Matrix:
+def misfit_covariance(layout: Layout, measured: Measured, rotation: Matrix) -> Matrix:
     """Return the covariance of measured minus predicted: the measurements', and what is not known of the layout."""
     if layout.cov_m2 is None:
         return measured.cov_m2
@@ -276,12 +276,18 @@ def _covariance(layout: Layout, measured: Measured, rotation: Matrix) -> Matrix:
     return measured.cov_m2 + wide @ layout.cov_m2 @ wide.T
 
 
+def level_turn(rotation: Matrix, line_ned: Vector) -> float:
+    """Return the turn (rad) about a line (NED, unit) after which the body's down axis points down as far as it can."""
+    down = rotation[:, 2]
+    towards = float(down[2] - line_ned[2] * (line_ned @ down))
+    across = float(line_ned[0] * down[1] - line_ned[1] * down[0])
+    return atan2(across, towards)
+
+
 def _levelled(rotation: Matrix, line_body: Vector) -> Matrix:
-    """Return the rotation turned about a line of the body until the body's down axis points down as far as it can."""
-    line, down = rotation @ line_body, rotation[:, 2]
-    towards = float(down[2] - line[2] * (line @ down))
-    across = float(line[0] * down[1] - line[1] * down[0])
-    return rotation_of(line * atan2(across, towards)) @ rotation
+    """Return the rotation turned about a line of the body until it is as level as it can be."""
+    line = rotation @ line_body
+    return rotation_of(line * level_turn(rotation, line)) @ rotation
 
 
 def _first_origin(measured: Measured, body: Matrix, rotation: Matrix) -> Vector:

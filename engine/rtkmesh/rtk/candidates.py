@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import BEIDOU, GLONASS, SATELLITES_PER_SYSTEM, SBAS
+from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import CONSTRAINED_CANDIDATES, NODE_LIMIT, Candidates, difference, pairs_of, search_pairs
 from rtkmesh.rtk.filter import factor
 from rtkmesh.rtk.lambda_search import OK
@@ -25,6 +26,8 @@ Indices = NDArray[np.int64]
 
 KEPT: Final = CONSTRAINED_CANDIDATES
 SEARCHED: Final = 400  # with a known length: the right one may be far down the list, the length brings it up
+_FEW: Final = 16  # double differences of which so many are searched: with more the right one is among the first (algorithms.md A4)
+_CLEAR: Final = 15.0  # log odds of the best against what is not kept: then the right one is kept
 _SIGNAL: Final = 512  # a key is (satellite * 512 + rover signal) * 512 + base signal
 
 
@@ -61,12 +64,20 @@ class Ranked(NamedTuple):
     beyond: float
 
 
-def candidate_table(f: Filter, satellites: SatelliteTable, memory: Vector, setup: Setup) -> CandidateTable | None:
-    """Return the best candidates of an epoch with this filter and satellite table; None where too little can be searched."""
+def candidate_table(
+    f: Filter, satellites: SatelliteTable, memory: Vector, setup: Setup, length: tuple[float, float] | None = None
+) -> CandidateTable | None:
+    """Return the best candidates of an epoch with this filter and satellite table; None where too little can be searched.
+
+    ``length`` (m) of the baseline and its sigma, if the filter's options do not tell it.
+    """
     found = _usable(f, satellites, setup, glonass=memory[TRUSTS_GLONASS] > 0.0)
     if len(found.row) < 2:
         return None
-    ranked = rank(f, found, setup.resolve.length_m, setup.resolve.length_sigma_m)
+    length_m, sigma_m = setup.resolve.length_m, setup.resolve.length_sigma_m
+    if length is not None and not np.isfinite(length_m):
+        length_m, sigma_m = length
+    ranked = rank(f, found, length_m, sigma_m)
     if not len(ranked.norms):
         return None
     keys, columns = f.keys[found.row], np.zeros(len(f.x), np.int64)
@@ -105,13 +116,13 @@ def rank(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: flo
     None where the covariance is not positive definite or the search does not end.
     """
     pairs, none = pairs_of(candidates), np.zeros((0, 3))
-    n, searched = len(pairs), SEARCHED if np.isfinite(length_m) else KEPT + 1
+    n, searched = len(pairs), KEPT + 1
     fixed, norms = np.zeros((searched, n)), np.zeros(searched)
     status = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)[0] if n > 0 else -1
-    if status != OK and n > 0 and searched > KEPT + 1:
-        searched = KEPT + 1
-        fixed, norms = np.zeros((searched, n)), np.zeros(searched)
-        status = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)[0]
+    if status == OK and n <= _FEW and np.isfinite(length_m) and log_odds(norms[0], norms[KEPT], n) < _CLEAR:
+        many, their_norms = np.zeros((SEARCHED, n)), np.zeros(SEARCHED)
+        if search_pairs(f.x, f.P, pairs, NODE_LIMIT, many, their_norms)[0] == OK:
+            searched, fixed, norms = SEARCHED, many, their_norms
     gain, mean, cov = np.zeros((3, n)), np.zeros(3), np.zeros((3, 3))
     if status != OK or not _gain_of(f, pairs, gain, mean, cov):
         return Ranked(pairs, fixed[:0], none, cov, norms[:0], np.inf)

@@ -147,11 +147,14 @@ class Rtk:
         """Return what is known of the newest epoch beside its solution; made when asked for."""
         return overview_of(self._state, self._single)
 
-    def candidates(self) -> CandidateTable | None:
-        """Return the best integer vectors of the newest epoch; made when asked for. None where it has no relative solution."""
+    def candidates(self, length: tuple[float, float] | None = None) -> CandidateTable | None:
+        """Return the best integer vectors of the newest epoch; made when asked for. None where it has no relative solution.
+
+        ``length`` (m) of the baseline and its sigma, where somebody else than these options knows it: it ranks them, and fixes nothing.
+        """
         if self._state is None or self._satellites is None or self.options.ambiguity.mode is AmbiguityMode.OFF:
             return None
-        return candidate_table(self._state.filter, self._satellites, self._past.memory, self._setup)
+        return candidate_table(self._state.filter, self._satellites, self._past.memory, self._setup, length)
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""

@@ -231,9 +231,8 @@ def _inner(U: Matrix, N: Matrix, M: Matrix) -> None:
         for j in range(n):
             f = N[k, j]
             if f != 0.0:
-                target, source = T[k, : j + 1], columns[j, : j + 1]
                 for i in range(j + 1):
-                    target[i] += f * source[i]
+                    T[k, i] += f * columns[j, i]
     for i in range(n):
         for j in range(n):
             M[i, j] = 0.0

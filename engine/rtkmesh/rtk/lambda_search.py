@@ -106,7 +106,8 @@ def reduce(L: Matrix, D: Vector, back: Matrix, z: Vector) -> None:
             k -= 1
     for j in range(n - 2, -1, -1):
         for i in range(j + 1, n):
-            _gauss(L, back, z, i, j)
+            if abs(L[i, j]) > 0.5:  # mostly not, and a call costs more than this
+                _gauss(L, back, z, i, j)
 
 
 @kernel

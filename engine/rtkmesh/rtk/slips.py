@@ -123,6 +123,7 @@ def find_slips(
     changes = _changes(d, history, place, times_s, setup.threshold_cyc)
     heard = _hear(d, history, place, times_s)
     tested = _test(d, changes, heard, setup, expected)
+    suspect = _suspects(changes, heard, tested)
     for k in range(len(place)):
         verdicts.slip[k], verdicts.jump_cyc[k] = NO_SLIP, 0.0
         if place[k] < 0:
@@ -132,8 +133,8 @@ def find_slips(
         if gap_s > 1.5 * changes.rover_dt_s:
             longest_s = max(setup.maximum_gap_s, 2.5 * changes.rover_dt_s)
             _judge_return(d, k, h, times_s, heard[0, k] or heard[1, k], tested, longest_s, setup.threshold_cyc, verdicts)
-        else:
-            _judge(d, k, h[BASE_S], heard[0, k] or heard[1, k], changes, tested, verdicts)
+        elif suspect[k]:
+            _judge(d, k, h[BASE_S], changes, tested, verdicts)
     _follow_absent(history, place, times_s, changes, tested)
     return tested
 
@@ -272,15 +273,25 @@ def _median(values: Vector) -> float:
 
 
 @kernel
-def _judge(d: Differences, k: int, last_base_s: float, heard: bool, changes: Changes, tested: Tested, verdicts: Verdicts) -> None:
-    """Judge a phase that was there in the last epoch."""
+def _suspects(changes: Changes, heard: Flags, tested: Tested) -> Flags:
+    """Return which phases are to be judged: they stand out, a receiver says that they slipped, or nothing has tested them for long."""
+    out = np.empty(len(changes.rover_m), np.bool_)
+    rover_m, base_m = tested.rover.residual_m, tested.base.residual_m
+    by_rover, by_base = tested.redundancy != UNTESTED, tested.base_redundancy != UNTESTED
+    untested = changes.rover_dt_s > SLOW_S and tested.redundancy < 1
+    for k in range(len(out)):
+        out[k] = untested or heard[0, k] or heard[1, k]
+        out[k] = out[k] or (by_rover and abs(rover_m[k]) > changes.rover_threshold_m[k])
+        out[k] = out[k] or (by_base and abs(base_m[k]) > changes.base_threshold_m[k])
+    return out
+
+
+@kernel
+def _judge(d: Differences, k: int, last_base_s: float, changes: Changes, tested: Tested, verdicts: Verdicts) -> None:
+    """Judge a suspect that was there in the last epoch."""
     rover, base = tested.rover, tested.base
-    slipped = tested.redundancy != UNTESTED and abs(rover.residual_m[k]) > changes.rover_threshold_m[k]
-    slipped = slipped or (tested.base_redundancy != UNTESTED and abs(base.residual_m[k]) > changes.base_threshold_m[k])
     if changes.rover_dt_s > SLOW_S and tested.redundancy < 1:
         verdicts.slip[k] = LOST
-        return
-    if not slipped and not heard:
         return
     jump, sigma = np.nan, 0.0
     if tested.redundancy >= _needed(d.pairs.satellite, k, rover.residual_m):

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude.integrity import Finding, Judged, judged
 from rtkmesh.attitude.joint import Edge, joint, length_m
+from rtkmesh.attitude.layout_covariance import joint_covariance
 from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.attitude.rotation import NED_FROM_ENU
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.config_attitude import AttitudeTable, ReceiverHeadingTable
+from rtkmesh_services.attitude.geometry import Chosen, Geometry
 from rtkmesh_services.attitude.matching import MatchedEpoch
 from rtkmesh_services.attitude.readings import VIRTUAL_LENGTH_M, Reading, SourceKind, SourceSpec, right_of
 
@@ -26,7 +28,7 @@ Matrix = NDArray[np.float64]
 class BodyAttitude:
     """What an epoch gives. ``used`` antennas; ``readings`` that are in it; ``missing`` sources with the reason.
 
-    ``origin_ecef_m`` None: no position; ``ned_from_ecef`` there.
+    ``origin_ecef_m`` None: no position; ``ned_from_ecef`` there. ``chosen``: what the geometry made of the integers, if it was asked.
     """
 
     time: GpsTime
@@ -36,6 +38,7 @@ class BodyAttitude:
     missing: dict[str, str]
     origin_ecef_m: Vector | None
     ned_from_ecef: Matrix | None
+    chosen: Chosen | None = None
 
 
 def specs_of(table: AttitudeTable, deployment: Deployment) -> tuple[SourceSpec, ...]:
@@ -60,9 +63,10 @@ def layout_of(table: AttitudeTable) -> Layout:
             start, end = _ends(name, heading)
             places[start], places[end] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (_direction(heading), (0.0, 0.0, 0.0))
             places[right_of(name)] = _to_the_right(heading), (0.0, 0.0, 0.0)
-    sigmas = np.array([sigma for _, sigma in places.values()]).ravel()
+    blocks = {name: antenna.covariance_m2 for name, antenna in table.antennas.items()}
+    cov = joint_covariance({name: sigmas for name, (_, sigmas) in places.items()}, blocks)
     positions = np.array([place for place, _ in places.values()], dtype=np.float64).reshape(-1, 3)
-    return Layout(tuple(places), positions, np.diag(sigmas**2) if np.any(sigmas > 0.0) else None)
+    return Layout(tuple(places), positions, cov)
 
 
 class Body:
@@ -74,6 +78,8 @@ class Body:
         self._false_alarm = table.false_alarm
         self._own_lines = {name: _ends(name, heading) for name, heading in table.headings.items() if not heading.antennas}
         self._specs = {spec.id: spec for spec in specs}
+        self._newest: tuple[list[Edge], Judged] = ([], Judged(None, Finding.NO_ATTITUDE))
+        self.geometry = Geometry(self.layout, radians(table.max_tilt_deg), self._judged) if table.geometry and table.antennas else None
 
     def length_m(self, spec: SourceSpec) -> float:
         """Return the known distance (m) between a source's two ends."""
@@ -81,6 +87,17 @@ class Body:
 
     def attitude(self, epoch: MatchedEpoch) -> BodyAttitude:
         """Return the attitude of an epoch."""
+        chosen = self.choice(epoch)
+        found = self._attitude(epoch if chosen is None else replace(epoch, readings=chosen.readings))
+        if chosen is not None and chosen.suspects and found.judged.fit is not None:
+            found = replace(found, judged=Judged(found.judged.fit, Finding.NOT_IDENTIFIABLE, suspects=chosen.suspects))
+        return replace(found, chosen=chosen)
+
+    def choice(self, epoch: MatchedEpoch) -> Chosen | None:
+        """Return what the geometry makes of an epoch's integers; None where it is not asked."""
+        return self.geometry.chosen(epoch) if self.geometry is not None and epoch.wanted else None
+
+    def _attitude(self, epoch: MatchedEpoch) -> BodyAttitude:
         missing = {name: f"nothing of {name}" for name in epoch.missing}
         missing |= {name: reading.reason for name, reading in epoch.readings.items() if reading.edge is None}
         readings = _without_spares([reading for reading in epoch.readings.values() if reading.edge is not None])
@@ -107,6 +124,12 @@ class Body:
         return BodyAttitude(epoch.time, found, used, tuple(readings), missing, origin, rotation)
 
     def _judged(self, edges: list[Edge]) -> Judged:
+        """Return the attitude of edges; of the same ones again what it was."""
+        if edges != self._newest[0]:
+            self._newest = (edges, self._judged_anew(edges))
+        return self._newest[1]
+
+    def _judged_anew(self, edges: list[Edge]) -> Judged:
         if not edges:
             return Judged(None, Finding.NO_ATTITUDE)
         try:
@@ -149,11 +172,11 @@ def _in_ned(readings: list[Reading], time: GpsTime) -> tuple[list[Reading], Vect
 
 
 def _moved(reading: Reading, time: GpsTime, origin: Vector, rotation: Matrix) -> Reading:
-    """Return a position about the origin, where it was at the epoch's time: receivers' time tags differ by up to a millisecond."""
+    """Return a position about the origin, where it was at the epoch's time: receivers' tags and clocks differ by up to a millisecond."""
     if reading.source.kind is not SourceKind.POSITION or reading.edge is None:
         return reading
     velocity = np.array(reading.velocity_ecef_mps)
-    moved = velocity * (time - reading.time) if np.isfinite(velocity).all() else np.zeros(3)
+    moved = velocity * (time - reading.time + reading.clock_s) if np.isfinite(velocity).all() else np.zeros(3)
     return replace(reading, edge=replace(reading.edge, vector_ned_m=rotation @ (reading.edge.vector_ned_m + moved - origin)))
 
 

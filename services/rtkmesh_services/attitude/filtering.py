@@ -14,7 +14,7 @@ from rtkmesh.attitude.filter_options import Estimate, FilterOptions, Kind, Trust
 from rtkmesh.attitude.heading_filter import HeadingFilter, filter_of
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh_schemas.attitude import NAN4, NAN9, AttitudeMessage
+from rtkmesh_schemas.attitude import NAN3, NAN4, NAN9, AttitudeMessage
 from rtkmesh_schemas.config_attitude import AttitudeFilterTable, AttitudeTable, ImuTable
 from rtkmesh_services.attitude.body import BodyAttitude
 from rtkmesh_services.attitude.imu import imu_of
@@ -110,6 +110,7 @@ class Filtering:
             "resets": self.resets,
             "points": points,
         }
+        told |= {"protection_rad": NAN3, "protection_open": []}
         return msgspec.structs.replace(epoch, **(told | fields | identity))
 
     def _counted(self, what: str, update: Update) -> Update:

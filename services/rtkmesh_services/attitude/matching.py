@@ -3,16 +3,21 @@
 An epoch is complete when every source that is due has spoken for it, or has spoken of a later instant. In what order sources speak
 changes nothing. Live, an epoch waits no longer than a deadline; of a replay that runs as fast as it can, that deadline is long. What comes
 for an epoch that is over is counted as late.
+
+Candidates of the integers of a baseline come after its solution, which says that they do. Where they are wanted, the epoch waits for
+them, no longer than for the last of its sources.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf
 
+from rtkmesh.attitude.candidates import Candidates
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_services.attitude.readings import Reading
+from rtkmesh_services.attitude.shelf import Shelf
 
 TOLERANCE_S = 0.025  # instants that are the same: receivers' clocks differ by up to 1 ms
 BACK_S = 10.0  # a time so far back is another beginning
@@ -32,12 +37,17 @@ class _Track:
 
 @dataclass(frozen=True, slots=True)
 class MatchedEpoch:
-    """All readings of one instant, by source. ``missing``: sources that were due; ``whole``: none of them may still speak for it."""
+    """All readings of one instant, by source. ``missing``: sources that were due; ``whole``: none of them may still speak for it.
+
+    ``candidates`` of the sources, where they are ``wanted`` and have come.
+    """
 
     time: GpsTime
     readings: dict[str, Reading]
     whole: bool
     missing: tuple[str, ...]
+    wanted: bool = False
+    candidates: dict[str, Candidates] = field(default_factory=dict[str, Candidates])
 
 
 @dataclass(slots=True)
@@ -45,18 +55,33 @@ class _Pending:
     time: GpsTime
     opened_s: float
     readings: dict[str, Reading] = field(default_factory=dict[str, Reading])
+    wanted: bool | None = None  # once all readings are there
+
+
+def never(_: Mapping[str, Reading]) -> bool:
+    """Want no candidates."""
+    return False
 
 
 class Matcher:
-    """Gathers readings of named sources; ``slowest``: epochs are only those at which all of them speak."""
+    """Gathers readings of named sources; ``slowest``: epochs are only those at which all of them speak.
 
-    def __init__(self, sources: Sequence[str], wait_s: float, *, slowest: bool) -> None:
+    ``wanted``: whether the candidates of these readings are wanted.
+    """
+
+    def __init__(
+        self, sources: Sequence[str], wait_s: float, *, slowest: bool, wanted: Callable[[Mapping[str, Reading]], bool] = never
+    ) -> None:
+        self._wanted = wanted
+        self._candidates = Shelf(sources)
         self._tracks = {name: _Track() for name in sources}
         self._wait_s, self._slowest = wait_s, slowest
         self._pending: list[_Pending] = []
         self._closed: GpsTime | None = None
         self._begun_s: float | None = None
         self.late: Counter[str] = Counter()
+        self.late_candidates: Counter[str] = Counter()
+        self._was_wanted = False
         self.skipped = self.restarts = 0
 
     def take(self, reading: Reading, now_s: float) -> Iterator[MatchedEpoch]:
@@ -68,7 +93,16 @@ class Matcher:
             self.late[reading.source.id] += 1
             return
         self._note(reading)
-        self._at(reading.time, now_s).readings[reading.source.id] = reading
+        pending = self._at(reading.time, now_s)
+        pending.readings[reading.source.id], pending.wanted = reading, None
+        yield from self.ready(now_s)
+
+    def take_candidates(self, source: str, time: GpsTime, found: Candidates | None, now_s: float) -> Iterator[MatchedEpoch]:
+        """Take the candidates of a source (None: there are none) and yield the epochs that are complete now."""
+        if self._closed is not None and -BACK_S <= time - self._closed <= TOLERANCE_S:
+            self.late_candidates[source] += self._was_wanted
+            return
+        self._candidates.put(source, time, found)
         yield from self.ready(now_s)
 
     def ready(self, now_s: float) -> Iterator[MatchedEpoch]:
@@ -79,7 +113,7 @@ class Matcher:
             if awaited and now_s - first.opened_s < self._wait_s:
                 return
             del self._pending[0]
-            self._closed = first.time
+            self._closed, self._was_wanted = first.time, self._wants(first)
             absent = [name for name, track in self._tracks.items() if name not in first.readings and not self._is_lost(track, first.time)]
             missing = tuple(name for name in absent if self._due(self._tracks[name], first.time))
             if self._slowest and len(absent) > len(missing):
@@ -110,8 +144,18 @@ class Matcher:
             track.period_s = min((after - before for before, after in pairwise(recent)), default=None)
 
     def _awaited(self, pending: _Pending, now_s: float) -> list[str]:
-        """Return the sources that may still speak for an epoch."""
-        return [name for name, track in self._tracks.items() if name not in pending.readings and self._may_speak(track, pending, now_s)]
+        """Return the sources that may still speak for an epoch; once none may, those whose candidates it waits for."""
+        silent = [name for name, track in self._tracks.items() if name not in pending.readings and self._may_speak(track, pending, now_s)]
+        if silent or not self._wants(pending):
+            return silent
+        return [name for name, reading in pending.readings.items() if self._candidates.awaits(name, reading)]
+
+    def _wants(self, pending: _Pending) -> bool:
+        """Return whether candidates are wanted, which is asked once of the same readings."""
+        if pending.wanted is None:
+            follow = any(reading.candidates_follow for reading in pending.readings.values())
+            pending.wanted = follow and self._wanted(pending.readings)
+        return pending.wanted
 
     def _may_speak(self, track: _Track, pending: _Pending, now_s: float) -> bool:
         if track.newest is None:
@@ -132,7 +176,9 @@ class Matcher:
     def _matched(self, pending: _Pending, missing: tuple[str, ...], *, whole: bool) -> MatchedEpoch:
         """Return an epoch, its readings in the sources' order: its time is that of the first of them."""
         readings = {name: pending.readings[name] for name in self._tracks if name in pending.readings}
-        return MatchedEpoch(next(iter(readings.values())).time, readings, whole, missing)
+        wanted = self._wants(pending)
+        candidates = {name: found for name, reading in readings.items() if wanted and (found := self._candidates.take(name, reading.time))}
+        return MatchedEpoch(next(iter(readings.values())).time, readings, whole, missing, wanted, candidates)
 
     def _is_lost(self, track: _Track, time: GpsTime) -> bool:
         if track.newest is None or track.period_s is None:
@@ -143,5 +189,6 @@ class Matcher:
         """Time has gone back: a recording is played again."""
         self._tracks = {name: _Track() for name in self._tracks}
         self._pending.clear()
+        self._candidates = Shelf(tuple(self._tracks))
         self._closed, self._begun_s = None, now_s
         self.restarts += 1

@@ -70,8 +70,10 @@ def body_message(found: BodyAttitude, layout: Layout, points: Points, unseen_sig
         antennas_used=list(found.used),
         antennas_excluded=list(verdict.excluded),
         antennas_suspect=list(verdict.suspects),
-        sources={reading.source.id: reading.source.kind.value for reading in found.readings},
+        sources={reading.source.id: reading.kind.value for reading in found.readings},
         sources_missing=found.missing,
+        geometry="" if found.chosen is None else found.chosen.verdict,
+        geometry_wrong_probability=nan if found.chosen is None else found.chosen.wrong_probability,
         points={name: _point(found, fit, np.array(place), unseen_sigma_rad) for name, place in points.items()},
         **identity,
     )
@@ -82,6 +84,7 @@ def reason_of(found: BodyAttitude) -> str:
     verdict = found.judged
     said = [_WORDS[verdict.finding].format(suspects=", ".join(verdict.suspects))] if verdict.finding in _WORDS else []
     said += [f"without {name}, which is at fault" for name in verdict.excluded]
+    said += [] if found.chosen is None else found.chosen.notes
     return "; ".join([*said, *found.missing.values()])
 
 

@@ -1,24 +1,64 @@
 """The attitude of one baseline: heading and one tilt angle, by its mounting, with full covariance and the test of its length."""
 
-from math import isfinite, nan, radians
+from math import cos, isfinite, nan, radians, sin
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from rtkmesh.attitude.baseline import BaselineAttitude, Integrity, Mounting, baseline_attitude, length_error_m, length_integrity
 from rtkmesh.attitude.integrity import Finding
 from rtkmesh.attitude.rigid_body import Shape
-from rtkmesh.attitude.rotation import angles_per_error, rotation_of_angles
+from rtkmesh.attitude.rotation import NED_FROM_ENU, angles_per_error, rotation_of_angles
 from rtkmesh_schemas.attitude import AttitudeMessage
-from rtkmesh_schemas.config_attitude import AttitudeTable
+from rtkmesh_schemas.config_attitude import AntennaPlaceTable, AttitudeTable
 from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_services.attitude.body import Body
+from rtkmesh_services.attitude.geometry import Chosen
 from rtkmesh_services.attitude.messages import angles_fields, rotation_fields
-from rtkmesh_services.attitude.readings import FIX, FLOAT, SourceKind
+from rtkmesh_services.attitude.readings import FIX, FLOAT, Reading, SourceKind, SourceSpec
+
+_TOLERANCE_SIGMAS = 5.0  # of the known length that its tolerance is: nothing right is outside
 
 
 def mounting_of(table: AttitudeTable) -> Mounting:
     """Return the engine's mounting of an attitude table."""
     return Mounting(radians(table.mounting_deg), radians(table.mounting_pitch_deg), table.length_m, table.length_tolerance_m)
+
+
+def body_of_length(table: AttitudeTable, spec: SourceSpec) -> Body | None:
+    """Return the two antennas of a table's one baseline as a body that chooses integers; None where their distance is not known."""
+    if table.length_m is None or not table.geometry:
+        return None
+    azimuth, elevation = radians(table.mounting_deg), radians(table.mounting_pitch_deg)
+    level_m = table.length_m * cos(elevation)
+    place = (level_m * cos(azimuth), level_m * sin(azimuth), -table.length_m * sin(elevation))
+    sigma_m = table.length_tolerance_m / _TOLERANCE_SIGMAS
+    start, end = AntennaPlaceTable(position_m=(0.0, 0.0, 0.0)), AntennaPlaceTable(position_m=place, sigma_m=sigma_m)
+    return Body(msgspec.structs.replace(table, antennas={spec.start: start, spec.end: end}), (spec,))
+
+
+def chosen_solution(reading: Reading, chosen: Chosen | None) -> SolutionMessage:
+    """Return the solution that a reading is of, with the baseline that the known length chose."""
+    assert reading.solution is not None, "it is of a solver"
+    if not reading.chosen or reading.edge is None or chosen is None:
+        return reading.solution
+    return msgspec.structs.replace(
+        reading.solution, status=reading.status, status_name=reading.status_name, reason="", integrity="", integrity_reason="",
+        baseline_enu_m=tuple((NED_FROM_ENU @ reading.edge.vector_ned_m).tolist()),
+        baseline_cov_enu_m2=tuple((NED_FROM_ENU @ reading.edge.cov_m2 @ NED_FROM_ENU).ravel().tolist()),
+        fix_probability=1.0 - chosen.wrong_probability,
+    )  # fmt: skip
+
+
+def chosen_message(
+    reading: Reading, chosen: Chosen | None, table: AttitudeTable, mounting: Mounting, identity: dict[str, Any]
+) -> AttitudeMessage:
+    """Return the attitude of the solution that a reading is of, with the baseline that the known length chose."""
+    antennas = [reading.source.start, reading.source.end]
+    message = attitude_message(chosen_solution(reading, chosen), table, mounting, antennas, identity)
+    told = {} if chosen is None else {"geometry": chosen.verdict, "geometry_wrong_probability": chosen.wrong_probability}
+    return msgspec.structs.replace(message, sources=dict.fromkeys(message.sources, reading.kind.value), **told)
 
 
 def attitude_message(

@@ -18,6 +18,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 
 FIX, FLOAT = 1, 2
 LARGEST_M, LARGEST_M2 = 1e8, 1e6  # beyond the earth, and a kilometre: no measurements (nor is NaN)
+LARGEST_CLOCK_S = 0.1  # receivers keep theirs within a millisecond or two; beyond this (nor is NaN) it is none
 VIRTUAL_LENGTH_M = 1.0  # of the line of antennas of a heading that says no length
 _LOOSE_RAD = 1.0
 
@@ -28,6 +29,7 @@ class SourceKind(StrEnum):
     BASELINE = "baseline"
     POSITION = "position"
     HEADING = "heading"
+    GEOMETRY = "geometry"  # a baseline whose integers were chosen together with those of others
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,10 @@ class Reading:
     """One message of a source. ``edge`` None: it says nothing now, and ``reason`` why. Of a position the vector is ECEF.
 
     ``across``: the other edge of a receiver that tells a whole attitude. ``velocity_enu_mps`` of a position with its covariance.
+    ``candidates_follow``: those of its integers; ``chosen``: its integers are of the geometry, not of its solver; ``solution``: what it
+    was read from.
+
+    ``time`` is the tag, ``clock_s`` by how much the receiver's clock was ahead when it measured: the instant is ``time`` minus that.
     """
 
     source: SourceSpec
@@ -65,6 +71,15 @@ class Reading:
     across: Edge | None = None
     velocity_enu_mps: tuple[float, float, float] = field(default=(nan, nan, nan))
     velocity_cov_enu_m2ps2: tuple[float, ...] = (nan,) * 9
+    clock_s: float = 0.0
+    candidates_follow: bool = False
+    chosen: bool = False
+    solution: SolutionMessage | None = None
+
+    @property
+    def kind(self) -> SourceKind:
+        """What it is as part of an attitude."""
+        return SourceKind.GEOMETRY if self.chosen else self.source.kind
 
 
 def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: bool) -> Reading:
@@ -76,7 +91,7 @@ def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: b
         edge, reason = None, f"{source.id} fails its integrity test: {message.integrity_reason}"
     return Reading(
         source=source,
-        time=_time(message.week, message.tow_s),
+        time=time_of(message.week, message.tow_s),
         edge=edge,
         reason=reason,
         status=message.status,
@@ -86,6 +101,9 @@ def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: b
         velocity_ecef_mps=message.velocity_ecef_mps,
         velocity_enu_mps=message.velocity_enu_mps,
         velocity_cov_enu_m2ps2=message.velocity_cov_enu_m2ps2,
+        solution=message,
+        candidates_follow=message.candidates and source.kind is SourceKind.BASELINE,
+        clock_s=message.receiver_clock_s if abs(message.receiver_clock_s) < LARGEST_CLOCK_S else 0.0,
     )
 
 
@@ -100,7 +118,7 @@ def of_heading(source: SourceSpec, message: HeadingMessage, length_m: float, uns
     edge = _line(source, source.heading, message, length_m, unseen_sigma_rad) if message.valid and isfinite(message.heading_rad) else None
     return Reading(
         source=source,
-        time=_time(*message.time),
+        time=time_of(*message.time),
         edge=edge,
         across=None if edge is None else _across(source, source.heading, message),
         reason="" if edge is not None else f"{source.id} has no heading ({message.message} {message.solution})".replace(" )", ")"),
@@ -110,26 +128,32 @@ def of_heading(source: SourceSpec, message: HeadingMessage, length_m: float, uns
     )
 
 
-def _time(week: int, tow_s: float) -> GpsTime:
+def time_of(week: int, tow_s: float) -> GpsTime:
+    """Return a time; DecodeError for what is none."""
     if not (0 <= week < 10000 and 0.0 <= tow_s < 604800.0):
         raise DecodeError(f"{week} {tow_s} is no GPS time")
     return GpsTime(week, tow_s)
 
 
 def _baseline(source: SourceSpec, message: SolutionMessage) -> Edge | None:
-    return _edge(source, NED_FROM_ENU @ np.array(message.baseline_enu_m), message.baseline_cov_enu_m2)
+    return _edge(source, NED_FROM_ENU @ np.array(message.baseline_enu_m), message.baseline_cov_enu_m2, wrong_probability(message))
 
 
 def _position(source: SourceSpec, message: SolutionMessage) -> Edge | None:
-    return _edge(source, np.array(message.position_ecef_m), message.position_cov_enu_m2)
+    return _edge(source, np.array(message.position_ecef_m), message.position_cov_enu_m2, wrong_probability(message))
 
 
-def _edge(source: SourceSpec, vector: Any, cov_enu_m2: tuple[float, ...]) -> Edge | None:
+def wrong_probability(message: SolutionMessage) -> float:
+    """Return the probability that a fix is wrong; 0 where the solver says nothing of it, and of a float."""
+    return 1.0 - message.fix_probability if 0.0 < message.fix_probability <= 1.0 else 0.0
+
+
+def _edge(source: SourceSpec, vector: Any, cov_enu_m2: tuple[float, ...], wrong: float) -> Edge | None:
     """Return the edge, None unless its covariance is one."""
     if len(cov_enu_m2) != 9 or not np.abs(vector).max() < LARGEST_M or not np.abs(cov_enu_m2).max() < LARGEST_M2:
         return None
     cov = NED_FROM_ENU @ np.array(cov_enu_m2).reshape(3, 3) @ NED_FROM_ENU
-    return Edge(source.start, source.end, vector, cov) if float(np.linalg.eigvalsh(cov)[0]) > 0.0 else None
+    return Edge(source.start, source.end, vector, cov, wrong=wrong) if float(np.linalg.eigvalsh(cov)[0]) > 0.0 else None
 
 
 def _line(source: SourceSpec, table: ReceiverHeadingTable, message: HeadingMessage, length_m: float, unseen_sigma_rad: float) -> Edge:

@@ -9,18 +9,21 @@ from rtkmesh.attitude.filter_options import Outcome
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
+from rtkmesh_schemas.candidates import CandidatesMessage
 from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.errors import DecodeError, VersionError
-from rtkmesh_schemas.keys import ATT, ATT_FILTERED, ATT_NMEA, HEADING, SOL, Role
+from rtkmesh_schemas.keys import ATT, ATT_FILTERED, ATT_NMEA, CANDIDATES, HEADING, SOL, Role
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.body import Body, BodyAttitude, specs_of
 from rtkmesh_services.attitude.filtering import Filtering, courses_of
-from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher
+from rtkmesh_services.attitude.guard import Guard
+from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher, never
 from rtkmesh_services.attitude.messages import body_message, nmea_of
-from rtkmesh_services.attitude.one_baseline import attitude_message, mounting_of
-from rtkmesh_services.attitude.readings import Reading, SourceSpec, of_heading, of_solution
+from rtkmesh_services.attitude.one_baseline import attitude_message, body_of_length, chosen_message, chosen_solution, mounting_of
+from rtkmesh_services.attitude.readings import Reading, SourceKind, SourceSpec, of_heading, of_solution, time_of
+from rtkmesh_services.attitude.warming import warm_choice
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.service import Context, Report, Service
 from rtkmesh_services.runtime.statistics import RollingQuantiles
@@ -43,10 +46,15 @@ class AttitudeService(Service):
         self._unseen_rad = radians(self._table.unseen_tilt_deg)
         self._specs = {spec.id: spec for spec in specs_of(self._table, context.deployment)}
         self._body = Body(self._table, tuple(self._specs.values())) if self._table.antennas or not self._table.solver else None
+        self._of_length = None if self._body else body_of_length(self._table, next(iter(self._specs.values())))
+        body = self._body or self._of_length
+        self._geometry = None if body is None else body.geometry
+        self._guard = Guard(self._table, None if self._body is None else self._body.layout)
         self._points = {name: point.position_m for name, point in self._table.points.items()}
         self._replay = any(table.replay for table in context.deployment.ingest.values())
         wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if self._replay else self._table.wait_s
-        self._matcher = Matcher(tuple(self._specs), wait_s, slowest=self._table.rate == "slowest")
+        wanted = never if self._geometry is None else self._geometry.wanted
+        self._matcher = Matcher(tuple(self._specs), wait_s, slowest=self._table.rate == "slowest", wanted=wanted)
         self._filtering = self._filter_of(self._table)
         self._imu = "" if self._table.imu is None else self._table.imu.key
         self._at_gyro = self._table.filter is not None and self._table.filter.publish == "gyro"
@@ -66,6 +74,11 @@ class AttitudeService(Service):
         courses = None if table.course is None else courses_of(table, self._specs[table.course.position].end)
         return Filtering(table, table.filter, self._unseen_rad, courses)
 
+    def warm(self) -> None:
+        """Compile or load the kernels of the choice of integers."""
+        if self._geometry is not None:
+            warm_choice()
+
     def open(self) -> None:
         """Subscribe to the sources."""
         self._opened_s = self._now_s()
@@ -75,6 +88,8 @@ class AttitudeService(Service):
         for name in self._specs:
             stream = HEADING if name in self._table.headings else SOL
             self.context.subscribe(stream.key(name), lane="sol")
+            if self._geometry is not None and self._specs[name].kind is SourceKind.BASELINE:
+                self.context.subscribe(CANDIDATES.key(name), lane="sol")
         if self._imu:
             self.context.subscribe(self._imu, lane="imu")
 
@@ -87,9 +102,12 @@ class AttitudeService(Service):
             return
         self._arrived_ns = self.context.clock.mono_ns()
         spec = self._specs[item.key.split("/")[1]]
-        self._heard_s[spec.id] = self._now_s()
-        self._messages[spec.id] += 1
         try:
+            if item.key == CANDIDATES.key(spec.id):
+                self._take_candidates(spec, item)
+                return
+            self._heard_s[spec.id] = self._now_s()
+            self._messages[spec.id] += 1
             self._take(spec, item)
         except (DecodeError, VersionError):
             self._errors[spec.id] += 1
@@ -117,33 +135,55 @@ class AttitudeService(Service):
         )
 
     def _take(self, spec: SourceSpec, item: Sample) -> None:
-        if self._body is None:
+        if self._body is None and self._of_length is None:
             solution = decode(SolutionMessage, item.payload, item.encoding)
             antennas = [spec.start, spec.end]
-            self._publish(attitude_message(solution, self._table, self._mounting, antennas, self._identity()))
+            message = attitude_message(solution, self._table, self._mounting, antennas, self._identity())
+            self._publish(self._guard.of_line(message, solution))
             return
-        reading = self._reading(self._body, spec, item)
+        reading = self._reading(spec, item)
         if reading is None:
             self._counts["untimed"] += 1
             return
         self._publish_all(self._matcher.take(reading, self._now_s()))
 
-    def _reading(self, body: Body, spec: SourceSpec, item: Sample) -> Reading | None:
-        if spec.heading is None:
+    def _take_candidates(self, spec: SourceSpec, item: Sample) -> None:
+        """Take the candidates of a baseline's integers; they are counted only where they come too late."""
+        assert self._geometry is not None, "it subscribed to them"
+        message = decode(CandidatesMessage, item.payload, item.encoding)
+        time, found = time_of(message.week, message.tow_s), None
+        try:
+            found = self._geometry.decoded(spec, message)
+        except DecodeError:
+            self._errors[spec.id] += 1
+        self._publish_all(self._matcher.take_candidates(spec.id, time, found, self._now_s()))
+
+    def _reading(self, spec: SourceSpec, item: Sample) -> Reading | None:
+        if spec.heading is None or self._body is None:
             return of_solution(spec, decode(SolutionMessage, item.payload, item.encoding), accept_float=self._table.accept_float)
         message = decode(HeadingMessage, item.payload, item.encoding)
-        return of_heading(spec, message, body.length_m(spec), self._unseen_rad)
+        return of_heading(spec, message, self._body.length_m(spec), self._unseen_rad)
 
     def _publish_all(self, epochs: Iterable[MatchedEpoch]) -> None:
         for epoch in epochs:
-            assert self._body is not None, "only bodies have epochs"
+            if not epoch.whole:
+                self._counts["deadlines"] += 1
+            if self._body is None:
+                self._publish_one(epoch)
+                continue
             found = self._body.attitude(epoch)
             message = body_message(found, self._body.layout, self._points, self._unseen_rad, **self._identity())
+            message = self._guard.of_body(found, message)
             self._tell(found, message)
             self._publish(message)
             self._filter(found, message, epoch.readings.values())
-            if not epoch.whole:
-                self._counts["deadlines"] += 1
+
+    def _publish_one(self, epoch: MatchedEpoch) -> None:
+        """Publish the attitude of a baseline of known length."""
+        chosen = None if self._of_length is None else self._of_length.choice(epoch)
+        [reading] = (epoch if chosen is None else chosen).readings.values()
+        message = chosen_message(reading, chosen, self._table, self._mounting, self._identity())
+        self._publish(self._guard.of_line(message, chosen_solution(reading, chosen)))
 
     def _publish(self, message: AttitudeMessage) -> None:
         self._last = message
@@ -216,7 +256,8 @@ class AttitudeService(Service):
         age_s = None if name not in self._heard_s else self._now_s() - self._heard_s[name]
         state = "waiting" if age_s is None else "silent" if age_s > STALE_S else "receiving"
         late = self._matcher.late[name]
-        counters = {"late": late} if late else {}
+        late_candidates = self._matcher.late_candidates[name]
+        counters = ({"late": late} if late else {}) | ({"late_candidates": late_candidates} if late_candidates else {})
         detail = self._specs[name].kind.value
         return InputStatus(
             name=name, state=state, detail=detail, messages=self._messages[name], age_s=age_s, errors=self._errors[name], counters=counters
@@ -230,6 +271,8 @@ class AttitudeService(Service):
 
     def _counters(self) -> dict[str, int]:
         matched = {"late": self._matcher.late.total(), "between": self._matcher.skipped, "restarts": self._matcher.restarts}
+        matched["late_candidates"] = self._matcher.late_candidates.total()
+        matched |= {} if self._geometry is None else self._geometry.counts
         filtered = {} if self._filtering is None else {f"filter_{name}": count for name, count in self._filtering.counts.items()}
         return {**self._counts, **filtered, **{name: count for name, count in matched.items() if count}}
 
@@ -244,6 +287,9 @@ class AttitudeService(Service):
         if last is not None and (last.integrity != Integrity.OK.value or len(last.antennas_used) < len(last.antennas)):
             return State.DEGRADED, last.reason
         return State.RUNNING, ""
+
+
+preload = warm_choice
 
 
 def create(context: Context) -> Service:

@@ -7,17 +7,20 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from rtkmesh.attitude.layout_covariance import Triple, blocks_of, joint_covariance
 from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh_services.errors import SourceError
 
 
 def layout_toml(layout: Layout, attitude: str, comments: list[str]) -> str:
-    """Return the tables ``[attitude.ID.antennas.NAME]`` of a layout with its sigmas, to be pasted or loaded."""
+    """Return the tables ``[attitude.ID.antennas.NAME]`` of a layout with its covariance, to be pasted or loaded."""
+    blocks = blocks_of(layout)
     sigmas = np.zeros_like(layout.positions_m) if layout.cov_m2 is None else np.sqrt(np.maximum(np.diag(layout.cov_m2), 0.0)).reshape(-1, 3)
     lines = [f"# {comment}" for comment in comments]
     for name, place, sigma in zip(layout.names, layout.positions_m, sigmas, strict=True):
         lines += ["", f"[attitude.{attitude}.antennas.{_key(name)}]", f"position_m = {_numbers(place)} # forward, right, down"]
         lines += [f"sigma_m = {_numbers(sigma)}"] if layout.cov_m2 is not None else []
+        lines += [f"covariance_m2.{_key(other)} = {_small(block)}" for other, block in blocks.get(name, {}).items()]
     return "\n".join(lines) + "\n"
 
 
@@ -28,6 +31,10 @@ def _key(name: str) -> str:
 
 def _numbers(values: NDArray[np.float64]) -> str:
     return "[" + ", ".join(f"{round(float(value), 4) + 0.0:.4f}" for value in values) + "]"
+
+
+def _small(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:.4e}" if value else "0.0" for value in values) + "]"
 
 
 def read_layouts(path: Path) -> dict[str, Layout]:
@@ -51,19 +58,27 @@ def _tables(value: Any) -> dict[str, Any]:
 
 def _layout(path: Path, attitude: str, table: Any) -> Layout:
     antennas = _tables(_tables(table)["antennas"])
-    places, sigmas = list[list[float]](), list[float]()
+    places, sigmas, blocks = list[list[float]](), dict[str, Triple](), dict[str, dict[str, tuple[float, ...]]]()
     for name, antenna in antennas.items():
         where = f"{path}: [attitude.{attitude}.antennas.{name}]"
         places.append(_three(where, "position_m", _tables(antenna).get("position_m")))
         sigma = _tables(antenna).get("sigma_m", 0.0)
-        sigmas += _three(where, "sigma_m", [sigma] * 3 if isinstance(sigma, int | float) else sigma)
+        forward, right, down = _three(where, "sigma_m", [sigma] * 3 if isinstance(sigma, int | float) else sigma)
+        sigmas[name] = forward, right, down
+        told = _tables(_tables(antenna).get("covariance_m2"))
+        blocks[name] = {other: tuple(_row(where, "covariance_m2", 9, values)) for other, values in told.items()}
     if not places:
         raise SourceError(f"{path}: [attitude.{attitude}.antennas] has no antenna")
-    return Layout(tuple(antennas), np.array(places), np.diag(np.square(sigmas)))
+    return Layout(tuple(antennas), np.array(places), joint_covariance(sigmas, blocks))
 
 
 def _three(where: str, key: str, value: Any) -> list[float]:
+    return _row(where, key, 3, value)
+
+
+def _row(where: str, key: str, count: int, value: Any) -> list[float]:
     values = cast("list[Any]", value) if isinstance(value, list) else []
-    if len(values) != 3 or not all(isinstance(part, int | float) and abs(part) < 1e6 for part in values):
-        raise SourceError(f"{where} {key}: three numbers in metres (forward, right, down) are needed")
+    if len(values) != count or not all(isinstance(part, int | float) and abs(part) < 1e6 for part in values):
+        wanted = "three numbers in metres (forward, right, down) are" if count == 3 else f"{count} numbers in square metres are"
+        raise SourceError(f"{where} {key}: {wanted} needed")
     return [float(part) for part in values]

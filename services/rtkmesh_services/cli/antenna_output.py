@@ -43,7 +43,7 @@ def comments(found: "Calibration") -> list[str]:
     """Return what the TOML says of where the layout is from."""
     return [
         f"rtkmesh antennas calibrate: {found.used} of {found.instants} instants, {found.shape.value};",
-        "sigmas are marginal: what the axes' definition holds fixed has none. The joint covariance: --json.",
+        "sigmas are marginal: what the axes' definition holds fixed has none; covariance_m2 is what antennas have in common.",
         *found.notes,
     ]
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.attitude.calibration import Instant
+from rtkmesh.attitude.joint import Edge, joint, made_positive
+from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.attitude.rotation import NED_FROM_ENU
-from rtkmesh.attitude.vectored import Vectored, jointly
 from rtkmesh.codecs.pos_read import Coordinates, PosRow, read_pos
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh_schemas.errors import SchemaError
@@ -162,23 +163,30 @@ def names_of(series: list[Series]) -> tuple[str, ...]:
 
 
 def instants_of(series: list[Series], names: tuple[str, ...]) -> list[Instant]:
-    """Return what was measured, epoch by epoch: epochs of the same time are one instant. All in NED at the first position."""
+    """Return what was measured, epoch by epoch: epochs of the same time are one instant. All in NED at the first position.
+
+    What positions share is their base's: it moves the body as a whole, so it is not told apart and each has a base of its own here.
+    """
     positions = [one.rows[0].vector_m for one in series if one.named.start is None and one.rows]
     origin = positions[0] if positions else None
-    found: dict[int, list[Vectored]] = defaultdict(list)
+    found: dict[int, list[Edge]] = defaultdict(list)
     for one in series:
-        start = None if one.named.start is None else names.index(one.named.start)
-        end = names.index(one.named.end)
         for row in one.rows:
-            found[_epoch(row)].append(Vectored(start, end, _ned(row, start, origin), NED_FROM_ENU @ row.cov_enu_m2 @ NED_FROM_ENU))
-    return [Instant(epoch * _SAME_S, jointly(vectors, len(names))) for epoch, vectors in sorted(found.items())]
+            found[_epoch(row)].append(_edge(one.named, row, origin))
+    layout = Layout(names, np.zeros((len(names), 3)))  # its places are what is sought
+    return [Instant(epoch * _SAME_S, joint(layout, edges)) for epoch, edges in sorted(found.items())]
+
+
+def _edge(named: Named, row: PosRow, origin: Vector | None) -> Edge:
+    cov = made_positive(NED_FROM_ENU @ row.cov_enu_m2 @ NED_FROM_ENU)
+    return Edge(f"{named.end}: base" if named.start is None else named.start, named.end, _ned(row, named.start, origin), cov)
 
 
 def _epoch(row: PosRow) -> int:
     return round((row.time.week * _WEEK_S + row.time.tow_s) / _SAME_S)
 
 
-def _ned(row: PosRow, start: int | None, origin: Vector | None) -> Vector:
+def _ned(row: PosRow, start: str | None, origin: Vector | None) -> Vector:
     if start is not None or origin is None:
         return NED_FROM_ENU @ row.vector_m
     return NED_FROM_ENU @ enu_from_ecef_at(origin) @ (row.vector_m - origin)

@@ -28,6 +28,7 @@ _SIGMA_HEADS: Final = (
 )  # fmt: skip
 _FOUND_ONLY: Final = 3  # degrees of freedom that three antennas have: not enough to tell which one is wrong
 _FAULT_HEADS: Final = ("layout", "fault of", "forward mm", "right mm", "down mm")
+_LEVEL_HEADS: Final = ("layout", "heading deg", "pitch deg", "roll deg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,8 @@ class Request:
     base_vertical: Annotated[float, Parameter(help="The same, vertically.")] = 0.0
     false_alarm: Annotated[float, Parameter(help="Probability of finding a fault where there is none.")] = 1e-3
     power: Annotated[float, Parameter(help="Probability of finding the smallest fault.")] = 0.9
+    risk: Annotated[float, Parameter(help="Probability that an angle is further off than its protection level.")] = 1e-5
+    antenna_fault: Annotated[float, Parameter(help="Probability that an antenna is off by more than its sigma says.")] = 1e-4
     plot: Annotated[Path | None, Parameter(help="Write a picture (PNG, PDF, SVG by its name).")] = None
     force: Annotated[bool, Parameter(negative="", help="Replace a file that is there.")] = False
     as_json: Json = False
@@ -65,6 +68,7 @@ def design(
     """
     from rtkmesh.attitude.design import Noise
     from rtkmesh.attitude.design import design as designed
+    from rtkmesh.attitude.protection import Guarding
     from rtkmesh_services.cli.antenna_sources import three
     from rtkmesh_services.cli.written_files import check_free
 
@@ -75,8 +79,9 @@ def design(
     point = np.array(three("--point", request.point))
     check_free([request.plot] if request.plot else [], [*files], force=request.force)
     layouts = _layouts(files, request)
+    guarding = Guarding(request.risk, request.antenna_fault)
     designs = {
-        name: (layout, designed(layout, noise, point, false_alarm=request.false_alarm, power=request.power))
+        name: (layout, designed(layout, noise, point, false_alarm=request.false_alarm, power=request.power, guarding=guarding))
         for name, layout in layouts.items()
     }
     _show(designs, noise, request)
@@ -90,6 +95,8 @@ def _check(request: Request) -> None:
     bad += [flag for flag, value in common.items() if not 0.0 <= value < 100.0]
     if bad:
         raise SourceError(f"{bad[0]}: metres between 0 and 100 are needed")
+    if not (0.0 < request.risk < 1.0 and 0.0 <= request.antenna_fault < 1.0):
+        raise SourceError("--risk and --antenna-fault are probabilities")
     if not 0.0 < request.false_alarm < request.power < 1.0:
         raise SourceError("--false-alarm and --power are probabilities, the first smaller than the second")
 
@@ -153,6 +160,8 @@ def _show(designs: dict[str, tuple["Layout", "Design"]], noise: "Noise", request
     faults = [(name, at, *map(_mm, astuple(fault))) for name, (_, made) in designs.items() for at, fault in made.detectable.items()]
     sys.stdout.write(f"Smallest faults found with probability {request.power:g} (false alarms {request.false_alarm:g}):\n")
     print_table(_FAULT_HEADS, faults, right=_FAULT_HEADS[2:])
+    sys.stdout.write(f"Protection levels while all agree (risk {request.risk:g}, faults of an antenna {request.antenna_fault:g}):\n")
+    print_table(_LEVEL_HEADS, [(name, *map(_level, made.levels_rad)) for name, (_, made) in designs.items()], right=_LEVEL_HEADS[1:])
     sys.stdout.write("".join(f"{name}: {text}\n" for name, (_, made) in designs.items() for text in warnings(name, made)))
 
 
@@ -173,6 +182,10 @@ def _deg(value_rad: float) -> str:
     return f"{degrees(value_rad):.3f}" if isfinite(value_rad) else "not seen"
 
 
+def _level(value_rad: float) -> str:
+    return "not bounded" if value_rad == np.inf else _deg(value_rad)
+
+
 def _mm(value_m: float) -> str:
     return f"{1e3 * value_m:.1f}" if isfinite(value_m) else "none" if value_m == np.inf else "not seen"
 
@@ -190,6 +203,7 @@ def warnings(name: str, made: "Design") -> list[str]:
         "one antenna, or all in one place: no attitude": whole.shape is Shape.POINT,
         "the antennas are on one line: the turn about it is not seen": line and antennas > 2,
         "two antennas: heading and one tilt; the turn about their line is not seen": line and antennas == 2,
+        "two antennas: a fault across their line changes no length and is found by nothing": line and antennas == 2,
         "no redundancy: no fault is found": whole.redundancy < 1,
         f"vertical faults are not found at {', '.join(blind)}: raise one antenna out of the plane, or add one": bool(blind) and full,
         f"without {', '.join(bare)} full attitude is lost": bool(bare) and full,

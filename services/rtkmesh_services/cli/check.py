@@ -47,7 +47,7 @@ def check(
         errors = error.errors
     else:
         errors = errors if file.suffix == ".conf" else url_errors(file, deployment, simulations=True)
-    notes = [] if deployment is None else [note for id_, table in deployment.attitude.items() for note in notes_on(id_, table)]
+    notes = [] if deployment is None else [note for id_, table in deployment.attitude.items() for note in notes_on(id_, table, deployment)]
     if as_json:
         rows = [{"file": error.file, "line": error.line, "message": error.message} for error in errors]
         told = {"ok": not errors, "errors": rows, "notes": notes, "processes": _processes(deployment)}

@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -78,8 +79,10 @@ def steps() -> Iterator[tuple[str, Callable[[], object]]]:
     for mode in (mode for mode in Mode if mode is not Mode.FIXED):  # which needs a position and has no kernel of its own
         pair = ("heading", "rover") if mode is Mode.MOVING_BASE else ("rover", "base")
         yield f"mode {mode.value}", lambda mode=mode, pair=pair: run(mode, *pair)
+    yield "what is rare", _warm_services
     yield "RTCM 3 legacy messages", _read_legacy
-    yield "RINEX", _read_rinex
+    yield "RINEX", _read_and_write_rinex
+    yield "streets and forests", _simulate_surroundings
 
 
 def kernel_counts() -> Kernels:
@@ -111,11 +114,34 @@ def _read_legacy() -> None:
     decoder.flush()
 
 
-def _read_rinex() -> None:
-    from rtkmesh.codecs.rinex_observation import ObservationReader
+def _warm_services() -> None:
+    from rtkmesh_services.attitude.warming import warm_choice
+    from rtkmesh_services.ingest.warming import warm_decoder
+    from rtkmesh_services.solver.warming import warm_engine
 
-    for _ in ObservationReader(_RINEX):
-        pass
+    warm_engine()
+    warm_decoder()
+    warm_choice()
+
+
+def _read_and_write_rinex() -> None:
+    from rtkmesh.codecs.rinex_observation import ObservationReader
+    from rtkmesh.codecs.rinex_observation_write import Equipment, ObservationWriter, Survey
+    from rtkmesh.codecs.rinex_write import Origin
+
+    survey, epochs = Survey(), list(ObservationReader(_RINEX))
+    for epoch in epochs:
+        survey.add(epoch)
+    ObservationWriter(survey, Origin(3.05, "rtkmesh", datetime.now(UTC)), Equipment()).epoch(epochs[0])
+
+
+def _simulate_surroundings() -> None:
+    import numpy as np
+
+    from rtkmesh.simulation.surroundings import VIEW, city, forest
+
+    for view in (city(1, 15.0), forest(1, 0.5)):
+        view(np.zeros(3), np.zeros(3), np.zeros(1), np.ones(1), np.empty((1, VIEW)))
 
 
 def _progress(*, quiet: bool) -> AbstractContextManager[Callable[[str], None]]:

@@ -3,7 +3,8 @@
 from functools import cache
 
 from rtkmesh.codecs.rtcm3_encode import encode_epoch
-from rtkmesh.codecs.sbf_encode import encode_meas_epoch, encode_meas_extra
+from rtkmesh.codecs.sbf_encode import block, encode_meas_epoch, encode_meas_extra
+from rtkmesh.codecs.sbf_navigation import GPS_RAW_CA
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
 from rtkmesh.codecs.ubx_encode import encode_rawx
 from rtkmesh.codecs.unicore_encode import encode_compressed, encode_observations
@@ -29,6 +30,7 @@ def warm_decoder() -> None:
     decoder = StreamDecoder(StreamOptions(approximate_time=start))
     unicore = encode_observations(epoch), encode_compressed(epoch, "OBSVMCMP")
     septentrio = encode_meas_epoch(epoch) + encode_meas_extra(epoch)
-    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1), *unicore, septentrio, septentrio):
+    subframe = block(GPS_RAW_CA, start, bytes((5, 1)) + bytes(44))  # nothing in it: the kernels that look at it refuse it
+    for data in (encode_rawx(epoch), *encode_epoch(epoch, 1), *unicore, septentrio, septentrio, subframe):
         decoder.feed(data)
     decoder.flush()

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtkmesh.attitude.candidates import Candidates
 from rtkmesh.attitude.rotation import NED_FROM_ENU
-from rtkmesh.attitude.search import Candidates
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.signals import satellite_id, satellite_number, signal_code, signal_number
 from rtkmesh.rtk.candidates import CandidateTable
@@ -16,9 +16,14 @@ from rtkmesh_schemas.errors import DecodeError
 
 Matrix = NDArray[np.float64]
 
+_LARGEST = 1e9  # no earth is so large, nor a norm of integers that anybody would choose (nor is NaN)
+_NUMBERS = np.zeros(0, np.int16)
+_NONE = CandidateTable(_NUMBERS, _NUMBERS, _NUMBERS, np.zeros((0, 0), np.int64), 0, np.zeros((0, 3)), np.eye(3), np.zeros(0), 0.0)
 
-def candidates_message(table: CandidateTable, solution: Solution, **identity: Any) -> CandidatesMessage:
-    """Return a table as the wire's struct; ``identity`` gives source, start_id, sequence, rover, base and clocks."""
+
+def candidates_message(found: CandidateTable | None, solution: Solution, **identity: Any) -> CandidatesMessage:
+    """Return a table as the wire's struct, None as one of no candidates; ``identity``: source, start_id, sequence, rover, base, clocks."""
+    table = _NONE if found is None else found
     x, y, z = solution.base_ecef_m.tolist()
     return CandidatesMessage(
         week=solution.time.week,
@@ -49,8 +54,11 @@ def candidates_of(message: CandidatesMessage, start: int, end: int) -> Candidate
         raise DecodeError(f"candidates of {message.source}: {m} of {p} ambiguities do not go with lists of {lengths}")
     numbers = np.array([*message.norms, *message.baselines_ecef_m, *message.covariance_ecef_m2, *message.base_ecef_m])
     cov = np.array(message.covariance_ecef_m2).reshape(3, 3)
-    if not np.isfinite(numbers).all() or np.linalg.eigvalsh(0.5 * (cov + cov.T))[0] <= 0.0:
-        raise DecodeError(f"candidates of {message.source}: not finite, or a covariance that is none")
+    if (
+        not (np.abs(numbers).max() < _LARGEST and 0 <= message.count <= p and message.beyond >= 0.0)
+        or np.linalg.eigvalsh(0.5 * (cov + cov.T))[0] <= 0.0
+    ):
+        raise DecodeError(f"candidates of {message.source}: not finite, too large, or a covariance that is none")
     turn: Matrix = NED_FROM_ENU @ enu_from_ecef_at(np.array(message.base_ecef_m))
     try:
         satellite = np.array([satellite_number(name) for name in message.satellite], np.int16)

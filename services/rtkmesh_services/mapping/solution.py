@@ -114,11 +114,12 @@ def _zenith_delays_m(solution: Solution) -> tuple[float, float]:
     relative_m = float(solution.float_state.zenith_m)
     if not isfinite(relative_m):
         return nan, nan
-    rover_m, base_m = (_model_zenith_m(place) for place in (solution.position_ecef_m, solution.base_ecef_m))
+    rover_m, base_m = (model_zenith_m(place) for place in (solution.position_ecef_m, solution.base_ecef_m))
     return rover_m + relative_m, base_m
 
 
-def _model_zenith_m(position_ecef_m: Array) -> float:
+def model_zenith_m(position_ecef_m: Array) -> float:
+    """Return the zenith delay (m) of the model atmosphere at a place: what estimated delays are added to."""
     lat_rad, _, height_m = geodetic_from_ecef(position_ecef_m).tolist()
     return float(zenith_hydrostatic_m(lat_rad, height_m) + zenith_wet_m(height_m))
 

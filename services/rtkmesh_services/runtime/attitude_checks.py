@@ -12,6 +12,7 @@ from rtkmesh_services.runtime.words import nearest
 
 SAME_PLACE_M: Final = 0.01
 _STRAIGHT: Final = 1e-3
+_SLACK: Final = 1.01  # of a correlation of one: rounded numbers
 _TOLERANCE_SIGMAS: Final = 3.0
 _LEAST_TOLERANCE_M: Final = 0.02
 _MOUNTING: Final = ("mounting_deg", "mounting_pitch_deg", "length_m")
@@ -25,10 +26,20 @@ def check_attitude(reader: Faults, id: str, table: AttitudeTable, deployment: De
         reader.fault(("attitude", id, *path), f"[attitude.{id}] {message}")
 
 
-def notes_on(id: str, table: AttitudeTable) -> Iterator[str]:  # noqa: A002
-    """Yield what is no fault, and worth to know, of a table's antennas."""
+def notes_on(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[str]:  # noqa: A002
+    """Yield what is no fault, and worth to know, of a table's antennas and solvers."""
+    for name in (*((table.solver,) if table.solver else ()), *table.solvers):
+        solver = deployment.solver.get(name)
+        if solver is not None and solver.baseline_length_m is None and (length_m := _known_length_m(table, solver)) is not None:
+            yield f"[solver.{name}] fixes sooner with 'baseline_length_m = {length_m:.3f}', which [attitude.{id}] knows"
     if len(table.antennas) > 2 and on_one_line([antenna.position_m for antenna in table.antennas.values()]):
         yield f"[attitude.{id}] its {len(table.antennas)} antennas are on one line: the tilt about it is not seen"
+
+
+def _known_length_m(table: AttitudeTable, solver: SolverTable) -> float | None:
+    """Return the length (m) of a solver's baseline that its attitude knows."""
+    ends = [table.antennas[name].position_m for name in (solver.base, solver.rover) if name in table.antennas]
+    return dist(*ends) if len(ends) == 2 else table.length_m
 
 
 def on_one_line(places: Sequence[Place]) -> bool:
@@ -95,9 +106,28 @@ def _places(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[t
             yield ("antennas", antenna), f"antennas: no [ingest.{antenna}], whose antenna this would be{there}"
         if not all(0.0 <= sigma <= LARGEST_SIGMA_M for sigma in table.antennas[antenna].sigmas_m):
             yield ("antennas", antenna, "sigma_m"), f"antennas: sigma_m of {antenna!r} must be 0 to {LARGEST_SIGMA_M:.0f} m"
+        yield from _covariances(antenna, table)
     for (first, one), (second, other) in combinations(table.antennas.items(), 2):
         if dist(one.position_m, other.position_m) < SAME_PLACE_M:
             yield ("antennas", second), f"antennas: {first!r} and {second!r} are at one place"
+
+
+def _covariances(name: str, table: AttitudeTable) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield covariances of an antenna that are with none, or larger than variances allow."""
+    mine, path = _variances(name, table), ("antennas", name, "covariance_m2")
+    for other, block in table.antennas[name].covariance_m2.items():
+        theirs = _variances(other, table) if other in table.antennas else None
+        if theirs is None:
+            yield (*path, other), f"antennas: covariance_m2 of {name!r} with {other!r}, which is none{nearest(other, list(table.antennas))}"
+        elif other == name and min(block[::4]) < 0.0:
+            yield (*path, other), f"antennas: covariance_m2 of {name!r} has negative variances"
+        elif mine and theirs and any(block[3 * i + j] ** 2 > _SLACK * mine[i] * theirs[j] for i in range(3) for j in range(3)):
+            yield (*path, other), f"antennas: covariance_m2 of {name!r} with {other!r} is larger than their variances allow"
+
+
+def _variances(name: str, table: AttitudeTable) -> tuple[float, ...]:
+    """Return the variances (m^2) of an antenna's place by its covariance; empty without one."""
+    return table.antennas[name].covariance_m2.get(name, ())[::4]
 
 
 def _measured(table: AttitudeTable, deployment: Deployment) -> Iterator[tuple[str, str, str]]:

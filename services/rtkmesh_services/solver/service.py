@@ -33,6 +33,7 @@ from rtkmesh_services.solver.broadcast import Broadcast
 from rtkmesh_services.solver.followers import Followers
 from rtkmesh_services.solver.formats import TextPublisher
 from rtkmesh_services.solver.inputs import CREDIT_EVERY, InputStream
+from rtkmesh_services.solver.known_lengths import known_lengths
 from rtkmesh_services.solver.neighbours import Neighbours
 from rtkmesh_services.solver.recent import Recent
 from rtkmesh_services.solver.screens.status import StatusView, status_data, status_screen
@@ -62,6 +63,7 @@ class SolverService(Service):
         self.running = table.autostart if context.running is None else context.running
         with self._refusals():
             self.session = Session(self._session_options(table))
+        self._lengths = known_lengths(context.deployment)
         self.recent, self.neighbours = Recent(), Neighbours(context.deployment, context.id)
         self._words, self._broadcast = Words(self), Broadcast(context, self._screen)
         self._inputs = {name: InputStream(name, source, self._ingest(name).replay) for source, name in self._sources()}
@@ -255,12 +257,14 @@ class SolverService(Service):
             solve_ms=solve_ms,
             received_mono_ns=received,
             published_mono_ns=now_ns,
+            candidates=self._tells_candidates(solution),
         )
         self._sequence += 1
         if fault := self.recent.solved(solution, message):
             context.faults.add(Fault(time_of(solution.time), "warning", solution.reason.name.lower(), fault))
         context.bus.publish(SOL, message)
-        self._publish_candidates(solution, message)
+        if message.candidates:
+            self._publish_candidates(solution, message)
         self._broadcast.solved(message)
         self._texts.publish(context.bus, solution, message)
         due = self._followers.wants_satellites or now_ns - self._satellites_ns >= SATELLITES_PERIOD_NS
@@ -268,15 +272,18 @@ class SolverService(Service):
             self._satellites_ns = now_ns
             context.bus.publish(SAT, satellites_message(solution, context.id))
 
+    def _tells_candidates(self, solution: Solution) -> bool:
+        """Return whether somebody, an attitude process, wants the integers that may be those of this baseline, and there may be some."""
+        moving = self.settings.active.mode == "moving-base" and solution.status in (Status.FIX, Status.FLOAT)
+        return moving and self.context.bus.matched(CANDIDATES)
+
     def _publish_candidates(self, solution: Solution, message: SolutionMessage) -> None:
-        """Tell who wants them, the attitude process, the integers that may be those of this baseline."""
-        if message.mode != "moving-base" or not self.context.bus.matched(CANDIDATES):
-            return
-        if (table := self.session.engine.candidates()) is not None:
-            names = ("source", "start_id", "sequence", "rover", "base", "received_mono_ns")
-            identity = {name: getattr(message, name) for name in names}
-            now_ns = self.context.clock.mono_ns()
-            self.context.bus.publish(CANDIDATES, candidates_message(table, solution, published_mono_ns=now_ns, **identity))
+        """Tell the candidates that the solution promised, also when there are none: nobody waits for them then."""
+        names = ("source", "start_id", "sequence", "rover", "base", "received_mono_ns")
+        identity = {name: getattr(message, name) for name in names}
+        now_ns, length = self.context.clock.mono_ns(), self._lengths.get((message.base, message.rover))
+        told = candidates_message(self.session.engine.candidates(length), solution, published_mono_ns=now_ns, **identity)
+        self.context.bus.publish(CANDIDATES, told)
 
     def _is_ready(self) -> bool:
         """Return whether replays may begin: all that is cached has come, and so have those who take the solutions."""

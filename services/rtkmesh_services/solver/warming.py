@@ -3,12 +3,17 @@
 from functools import cache
 from itertools import islice
 
+import numpy as np
+
 from rtkmesh.codecs.messages import Message
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
+from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.signals import GPS, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.rtk.session import EndOfStream, Session, SessionOptions, Source, pairing_for
 from rtkmesh.simulation.scenario import open_stream
+from rtkmesh_services.mapping.solution import model_zenith_m
 
 EPOCHS = 4
 START = GpsTime(2400, 3600.0)
@@ -19,7 +24,9 @@ def warm_engine() -> None:
     """Solve a few simulated epochs in the modes that use different kernels; the second time nothing is left to do."""
     rover, heading, base = (simulated_messages(antenna) for antenna in ("rover", "heading", "base"))
     solve(Mode.KINEMATIC, rover, base)
+    solve(Mode.KINEMATIC, rover, in_parts(base))
     solve(Mode.MOVING_BASE, heading, rover)
+    model_zenith_m(np.array((6.4e6, 0.0, 0.0)))
 
 
 def simulated_messages(antenna: str) -> list[Message]:
@@ -28,6 +35,14 @@ def simulated_messages(antenna: str) -> list[Message]:
     stream = open_stream("demo", antenna, seed=1, rate_hz=5.0, start=START)
     decoded = [part for epoch in islice(stream.epochs(), EPOCHS) for part in decoder.feed(epoch.data)]
     return [message for _, messages in decoded for message in messages] + decoder.flush()
+
+
+def in_parts(messages: list[Message]) -> list[Message]:
+    """Return the messages of a base whose epochs are not whole: GPS in one, all other systems in the next."""
+    epochs = [message for message in messages if isinstance(message, Epoch)]
+    gps = [epoch.satellite // SATELLITES_PER_SYSTEM == GPS for epoch in epochs]
+    parts = iter([epoch.take(own if k % 2 == 0 else ~own) for k, (epoch, own) in enumerate(zip(epochs, gps, strict=True))])
+    return [next(parts) if isinstance(message, Epoch) else message for message in messages]
 
 
 def solve(mode: Mode, rover: list[Message], base: list[Message]) -> int:

@@ -1,4 +1,4 @@
-"""Positions and baselines of one instant as one measurement; layouts by name."""
+"""Layouts by name."""
 
 from math import acos, degrees, sqrt
 
@@ -7,32 +7,7 @@ import pytest
 
 from rtkmesh.attitude.presets import BEST_APEX_RAD, PRESETS, preset
 from rtkmesh.attitude.rigid_body import Shape
-from rtkmesh.attitude.vectored import Vectored, jointly
 from rtkmesh.errors import OptionError
-
-COV = np.diag([4.0, 4.0, 9.0]) * 1e-6
-
-
-def test_baselines_share_what_their_antenna_does():
-    """Nearly half of the variance, with the sign of the direction; closed triangles stay positive."""
-    vectors = [
-        Vectored(0, 1, np.ones(3), COV),
-        Vectored(0, 2, np.ones(3), COV),
-        Vectored(1, 2, np.ones(3), COV),
-        Vectored(None, 0, np.ones(3), COV),
-    ]
-    found = jointly(vectors, 3)
-    assert found.cov_m2[0, 3] == pytest.approx(0.45 * COV[0, 0])
-    assert found.cov_m2[0, 6] == pytest.approx(-0.45 * COV[0, 0])
-    assert np.diag(found.cov_m2) == pytest.approx(np.tile(np.diag(COV), 4))
-    assert not np.any(found.cov_m2[9:, :9])
-    assert np.linalg.eigvalsh(found.cov_m2)[0] > 0.0
-    assert found.weights.tolist() == [[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0], [0.0, -1.0, 1.0], [1.0, 0.0, 0.0]]
-
-
-def test_covariances_that_rounding_spoilt_are_made_positive():
-    spoilt = np.array([[1.0, 1.1, 0.0], [1.1, 1.0, 0.0], [0.0, 0.0, 0.0]]) * 1e-6
-    assert np.linalg.eigvalsh(jointly([Vectored(None, 0, np.zeros(3), spoilt)], 1).cov_m2)[0] > 0.0
 
 
 def test_the_best_angle_is_where_the_normals_variance_is_smallest():

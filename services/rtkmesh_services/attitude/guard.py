@@ -1,0 +1,68 @@
+"""Protection levels of published attitudes, and whether they are inside the alert limits of the site."""
+
+from collections.abc import Iterator
+from math import degrees, inf, isfinite, nan, radians
+
+import msgspec
+import numpy as np
+
+from rtkmesh.attitude.joint import joint
+from rtkmesh.attitude.protection import Guarding, Levels, fault_priors, levels, line_levels
+from rtkmesh.attitude.rigid_body import Layout
+from rtkmesh.gnss.integrity import Integrity
+from rtkmesh_schemas.attitude import AttitudeMessage
+from rtkmesh_schemas.config_attitude import AttitudeTable
+from rtkmesh_schemas.solution import SolutionMessage
+from rtkmesh_services.attitude.body import BodyAttitude
+from rtkmesh_services.attitude.readings import wrong_probability
+
+_ANGLES = ("heading", "pitch", "roll")
+
+
+class Guard:
+    """The levels of one attitude process; ``layout``: of its antennas, None where it has one baseline without places."""
+
+    def __init__(self, table: AttitudeTable, layout: Layout | None) -> None:
+        options = table.integrity
+        self._guarding = Guarding(options.risk, options.antenna_fault, radians(table.unseen_tilt_deg))
+        self._layout = layout
+        tilt_deg = options.alert_tilt_deg
+        self._limits_deg = tuple(inf if limit is None else limit for limit in (options.alert_heading_deg, tilt_deg, tilt_deg))
+
+    def of_body(self, found: BodyAttitude, message: AttitudeMessage) -> AttitudeMessage:
+        """Return the message of an epoch with its levels and what they mean for its integrity."""
+        bounds = self._levels(found)
+        return self._judged(message, bounds, list(dict.fromkeys(name.split(": ")[0] for name in bounds.open)))
+
+    def of_line(self, message: AttitudeMessage, solution: SolutionMessage) -> AttitudeMessage:
+        """Return the message of one baseline, a solution that its length alone tests, with its levels."""
+        sigmas = np.sqrt(np.diag(np.array(message.covariance_rad2).reshape(3, 3)))
+        prior = max(self._guarding.antenna_fault, wrong_probability(solution))
+        bounds = Levels(line_levels(sigmas, prior, self._guarding))
+        return self._judged(message, bounds, message.antennas_used if np.isinf(bounds.rad).any() else [])
+
+    def _levels(self, found: BodyAttitude) -> Levels:
+        edges = [reading.edge for reading in found.readings if reading.edge is not None]
+        if found.judged.fit is None or self._layout is None or not edges:
+            return Levels(np.full(3, nan))
+        priors = fault_priors(self._layout, edges, self._guarding.antenna_fault)
+        try:
+            return levels(self._layout, joint(self._layout, edges), found.judged, self._guarding, priors)
+        except np.linalg.LinAlgError:  # covariances of a stranger
+            return Levels(np.full(3, inf))
+
+    def _judged(self, message: AttitudeMessage, bounds: Levels, left_open: list[str]) -> AttitudeMessage:
+        heading, pitch, roll = bounds.rad.tolist()
+        told = msgspec.structs.replace(message, protection_rad=(heading, pitch, roll), protection_open=left_open)
+        beyond = "; ".join(self._beyond((heading, pitch, roll)))
+        if message.integrity != Integrity.OK.value or not beyond:
+            return told
+        reason = "; ".join(part for part in (message.reason, beyond) if part)
+        return msgspec.structs.replace(told, integrity=Integrity.UNAVAILABLE.value, reason=reason)
+
+    def _beyond(self, levels_rad: tuple[float, ...]) -> Iterator[str]:
+        """Yield what is to be said of levels beyond their limits."""
+        for name, level_rad, limit_deg in zip(_ANGLES, levels_rad, self._limits_deg, strict=True):
+            if degrees(level_rad) > limit_deg:
+                how = f"may be off by {degrees(level_rad):.1f} deg" if isfinite(level_rad) else "is not bounded"
+                yield f"{name} {how} (limit {limit_deg:g} deg)"
