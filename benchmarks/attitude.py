@@ -195,7 +195,7 @@ def run(rng: np.random.Generator, epochs: int, scores: dict[int, Score], faults:
         edges = {name: edge for name, s in sessions.items() if (edge := _edge(name, _solved(s, observed, name, k * STEP_S))) is not None}
         all_fixed = all_fixed or len(edges) == len(sessions)
         if all_fixed:
-            pose = boat(absolute_s(observed["a"].true_time) - begun_s)
+            pose = boat(absolute_s(start + k * STEP_S) - begun_s)  # baselines are of the instant that the tags name
             for count, names in ((2, "b"), (3, "bc"), (4, "bcd")):
                 scores[count].take(layout, [edges[name] for name in names if name in edges], pose)
                 if count > 2 and len(edges) == len(sessions):

@@ -13,7 +13,8 @@ the runs with bounds, which are; longest run of wrong fixes (s); time from the f
 the runs; '>' where so many runs never had one); normalised error squared e' P^-1 e / 3 of fixes and floats (1 is honest, more is too sure):
 mean, and mean without the largest 5 %.
 
-A second table says what the option failure_rate of [solver.ID.ambiguity] makes of the same runs: it hides fixes and changes nothing else.
+A second table says what the option failure_rate of [solver.ID.ambiguity] makes of the same runs: it hides fixes and changes nothing else;
+a third the same of each family that has wrong fixes, as wrong / fixes, with ! where the share of these is above the configured rate.
 """
 
 import argparse
@@ -136,7 +137,7 @@ def _of_rate(rate: float, possible: int, shown: Sequence[NDArray[np.bool_]]) -> 
     share = wrong / fixes if fixes else 0.0
     bad = sum(bool(s.any()) for s in shown)
     return {
-        "failure_rate": rate, "fix_pct": _percent(fixes, possible), "wrong_fixes": wrong, "share": share,
+        "failure_rate": rate, "fixes": fixes, "fix_pct": _percent(fixes, possible), "wrong_fixes": wrong, "share": share,
         "share_95": clopper_pearson(wrong, fixes), "runs_with_wrong": bad,
     }  # fmt: skip
 
@@ -147,6 +148,15 @@ def rate_page(rows: Sequence[Row]) -> str:
         [f"{row['failure_rate']:g}", f"{row['fix_pct']:.1f}", str(row["wrong_fixes"]),
          f"{row['share']:.1e} ({row['share_95'][0]:.1e} to {row['share_95'][1]:.1e})", str(row["runs_with_wrong"])]
         for row in rows
+    ])  # fmt: skip
+
+
+def family_rate_page(families: Sequence[Family], outcomes: Sequence[Outcome]) -> str:
+    """Return the table of failure rates of the families that have wrong fixes, as Markdown."""
+    rows = {family.name: by_rate([o for o in outcomes if o.family == family.name]) for family in families}
+    return table(("family", *(f"{rate:g}" for rate in RATES)), [
+        [name, *(f"{row['wrong_fixes']} / {row['fixes']}{'!' if row['share'] > row['failure_rate'] else ''}" for row in rates)]
+        for name, rates in rows.items() if rates[0]["wrong_fixes"]
     ])  # fmt: skip
 
 
@@ -260,6 +270,7 @@ def main() -> int:
     print(page(rows))
     print(f"What a configured failure rate leaves of them (1: no limit):\n\n{rate_page(by_rate(outcomes))}")
     if commands:
+        print(f"By family, wrong / fixes at each failure rate:\n\n{family_rate_page(families, outcomes)}")
         print(f"Runs with wrong fixes, seed {options.seed}:\n\n```text\n" + "\n".join(commands) + "\n```")
     return 0
 

@@ -1,12 +1,17 @@
 """Protection levels of published attitudes, and the alert limits of a site."""
 
+from dataclasses import replace
 from math import degrees, inf, isfinite, isnan, nan
 
 import pytest
 from tests.services.attitude_body import SQUARE, Vehicle
 
+from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.config_attitude import AttitudeFilterTable, AttitudeIntegrityTable
 from rtkmesh_schemas.keys import ATT_FILTERED
+from rtkmesh_services.attitude.body import BodyAttitude
+from rtkmesh_services.attitude.geometry import Chosen
+from rtkmesh_services.attitude.guard import Guard
 
 TRIO = {name: SQUARE[name] for name in "abc"}
 PAIR = {name: SQUARE[name] for name in "ab"}
@@ -77,3 +82,18 @@ def test_wrong_integers_that_the_solver_fears_raise_the_level() -> None:
             vehicle.say(name, vehicle.baseline(name, 10.0, fix_probability=probability if name == "ad" else 0.999999))
         levels.append(vehicle.attitudes()[-1].protection_rad)
     assert all(likely > rare for likely, rare in zip(levels[1], levels[0], strict=True))
+
+
+@pytest.mark.parametrize(("wrong", "bounded"), [(1e-3, False), (1e-7, True)])
+def test_integers_that_were_chosen_together_are_wrong_together(monkeypatch: pytest.MonkeyPatch, wrong: float, bounded: bool) -> None:
+    """One combination of all baselines: where it is wrong with more than a share of the risk, no antenna is left to bound it."""
+    of_body = Guard.of_body
+
+    def chosen(guard: Guard, found: BodyAttitude, message: AttitudeMessage) -> AttitudeMessage:
+        readings = tuple(replace(reading, chosen=True) for reading in found.readings)
+        return of_body(guard, replace(found, readings=readings, chosen=Chosen({}, "accepted", wrong)), message)
+
+    monkeypatch.setattr(Guard, "of_body", chosen)
+    found = Vehicle().epoch(10.0)
+    assert all(isfinite(level) is bounded for level in found.protection_rad)
+    assert found.protection_open == ([] if bounded else list("abcd"))

@@ -19,6 +19,7 @@ from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch, Signals
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
+from rtkmesh.models.common_instant import base_move_ecef_m, moved_base
 from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
 from rtkmesh.models.odds import SURENESS
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
@@ -195,6 +196,7 @@ class Rtk:
         if base is not None and self.options.mode is Mode.MOVING_BASE:
             base_single = locate(base.signals, issues, self._point, _NOWHERE if base_position_ecef_m is None else base_position_ecef_m)
             base_position_ecef_m = base_single.position_ecef_m if base_single.status == CONVERGED else None
+            base = _at_instant_of(rover, single, base, base_single, issues)
         reason = self._obstacle(rover, base, base_position_ecef_m)
         if reason is not Reason.OK or base is None or base_position_ecef_m is None:
             return replace(from_single(rover, base, single), reason=reason)
@@ -383,3 +385,12 @@ class Rtk:
         if base is None:
             return _NOWHERE, _UNKNOWN
         return self._sense * (rover.velocity_mps - base.velocity_mps), rover.velocity_cov_m2ps2 + base.velocity_cov_m2ps2
+
+
+def _at_instant_of(rover: Epoch, single: Located, base: Epoch, base_single: Located, issues: Issues) -> Epoch:
+    """Return the epoch of a moving base as if it had been measured, like the rover's, at the instant that the rover's tag names."""
+    move_ecef_m = base_move_ecef_m(single, base_single, rover.time - base.time)
+    if not move_ecef_m.any():
+        return base
+    codes_m, phases_cyc = moved_base(base.signals, base_single, issues.channel, move_ecef_m)
+    return replace(base, pseudorange_m=codes_m, phase_cyc=phases_cyc)

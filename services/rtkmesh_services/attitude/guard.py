@@ -47,9 +47,20 @@ class Guard:
             return Levels(np.full(3, nan))
         priors = fault_priors(self._layout, edges, self._guarding.antenna_fault)
         try:
-            return levels(self._layout, joint(self._layout, edges), found.judged, self._guarding, priors)
+            bounds = levels(self._layout, joint(self._layout, edges), found.judged, self._guarding, priors)
         except np.linalg.LinAlgError:  # covariances of a stranger
             return Levels(np.full(3, inf))
+        return self._unbounded(bounds, found) if self._may_be_wrong_together(found) else bounds
+
+    def _may_be_wrong_together(self, found: BodyAttitude) -> bool:
+        """Return whether baselines that the geometry chose together are wrong together with more than a hypothesis' share of the risk."""
+        together = sum(reading.chosen for reading in found.readings) > 1
+        return together and found.chosen is not None and found.chosen.wrong_probability > 0.25 * self._guarding.risk
+
+    def _unbounded(self, bounds: Levels, found: BodyAttitude) -> Levels:
+        """Return levels that bound nothing: no antenna is left that a wrong combination of integers has not touched."""
+        ends = {end for reading in found.readings if reading.chosen for end in (reading.source.start, reading.source.end)}
+        return Levels(np.where(np.isnan(bounds.rad), nan, inf), tuple(name for name in found.used if name in ends))
 
     def _judged(self, message: AttitudeMessage, bounds: Levels, left_open: list[str]) -> AttitudeMessage:
         heading, pitch, roll = bounds.rad.tolist()

@@ -1,0 +1,81 @@
+"""Which fixes are shown: those that stay where the last fix and the motion since put the rover."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtkmesh.rtk.ambiguity import Candidates, Search
+from rtkmesh.rtk.memory import DOUBTS, HELD_SINCE_S, SHOWN, new_memory, resolve_setup
+from rtkmesh.rtk.options import AmbiguityOptions
+from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, Filter
+from rtkmesh.rtk.validation import FIX_OK, NOT_VALID, PREDICTION_FLOOR_M, departure, fix
+
+WAVELENGTH_M = 0.19
+PHASE_SIGMA_M = 0.015
+TRUE_M = np.array([120.0, -45.0, 8.0])
+INTEGERS = np.array([3.0, -7.0, 12.0, 0.0, 5.0])
+# Azimuth and elevation (degrees) of five satellites: one more than a fix needs.
+SKY = ((10.0, 70.0), (80.0, 35.0), (160.0, 40.0), (230.0, 30.0), (310.0, 45.0))
+
+
+def directions():
+    azimuth, elevation = np.radians(np.array(SKY)).T
+    return np.column_stack([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
+
+
+def floating(held):
+    """A filter after an epoch: a position known to a metre, ambiguities by the phases at that position; these integers are held."""
+    n, spread = len(INTEGERS), np.zeros((DYNAMIC + len(INTEGERS), 3))
+    spread[:3], spread[DYNAMIC:] = np.eye(3), directions() / WAVELENGTH_M
+    P = spread @ spread.T
+    P[3:DYNAMIC, 3:DYNAMIC] = np.eye(6)
+    P[DYNAMIC:, DYNAMIC:] += (PHASE_SIGMA_M / WAVELENGTH_M) ** 2 * np.eye(n)
+    error_m = np.array([0.4, -0.3, 0.5])
+    x = np.concatenate([TRUE_M + error_m, np.zeros(6), INTEGERS + directions() @ error_m / WAVELENGTH_M])
+    history = np.zeros((n, HISTORY))
+    history[:, INTEGER] = held
+    return Filter(x, P, FIRST_PAIR_KEY + np.arange(n), history)
+
+
+def fixed(held, prediction):
+    """What is shown of these integers with this prediction, and the doubts it leaves."""
+    n, memory = len(INTEGERS), new_memory()
+    memory[SHOWN], memory[HELD_SINCE_S] = 1.0, 0.0
+    candidates = Candidates(np.arange(n), np.zeros(n, np.int64), np.arange(n) + 1, np.arange(n) + 1.0)
+    free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, -np.inf, False)
+    setup = resolve_setup(AmbiguityOptions(), None, 0.01)
+    return fix(floating(held), candidates, free, memory, setup, prediction, 1.0), memory[DOUBTS]
+
+
+def predicted(at_m, sigma_m=0.01):
+    return np.concatenate([at_m, [sigma_m], np.zeros(3)])
+
+
+def test_a_cycle_that_few_satellites_hide_is_seen_by_where_it_puts_the_rover():
+    """One satellite a cycle off, with one to spare: its norm passes, and so does its sigma, but the rover has not gone there."""
+    wrong = INTEGERS + np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+    right, doubts = fixed(INTEGERS, predicted(TRUE_M))
+    assert (right.reason, doubts) == (FIX_OK, 0.0)
+    assert right.x[:3] == pytest.approx(TRUE_M, abs=5e-3)
+    unseen, _ = fixed(wrong, np.full(7, np.nan))
+    assert unseen.reason == FIX_OK
+    assert np.linalg.norm(unseen.x[:3] - TRUE_M) > 0.1
+    seen, doubts = fixed(wrong, predicted(TRUE_M))
+    assert (seen.reason, doubts) == (NOT_VALID, 1.0)
+
+
+def test_a_prediction_that_says_little_refuses_little():
+    """The same fix is shown when the motion since the last one is not known better than that."""
+    wrong = INTEGERS + np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+    assert fixed(wrong, predicted(TRUE_M, 0.5))[0].reason == FIX_OK
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0))
+def test_departures_are_normalised_by_both(seed, sigma_m):
+    """The squared distance in sigmas of fix and prediction, by the textbook."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(DYNAMIC, DYNAMIC))
+    P, x, at_m = 1e-3 * A @ A.T + 1e-5 * np.eye(DYNAMIC), rng.normal(size=DYNAMIC), rng.normal(size=3)
+    gap_m, cov_m2 = x[:3] - at_m, P[:3, :3] + (PREDICTION_FLOOR_M + sigma_m) ** 2 * np.eye(3)
+    assert departure(x, P, predicted(at_m, sigma_m)) == pytest.approx(gap_m @ np.linalg.solve(cov_m2, gap_m), rel=1e-9)
