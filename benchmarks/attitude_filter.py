@@ -28,7 +28,7 @@ from rtkmesh.attitude.heading_filter import filter_of
 from rtkmesh.attitude.rigid_body import Fit, Shape
 from rtkmesh.attitude.rotation import rotation_of, rotation_of_angles, vector_of
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh.simulation.trajectories import Trajectory, boat, driving, walking
+from rtkmesh.simulation.trajectories import Trajectory, boat, driving, drone, tractor, walking
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -38,7 +38,14 @@ GYRO_SIGMA_RADPS: Final = radians(0.2)
 BIAS_SIGMA_RADPS, BIAS_WALK_RADPS_RTS = radians(1.0), 1e-4
 START: Final = GpsTime(2445, 604_770.0)  # the week turns over after half a minute
 SETTLED_S: Final = 5.0
-VEHICLES: Final[dict[str, Trajectory]] = {"car with turns": driving, "boat on waves": boat, "walker": walking}
+BOAT_CYCLE_S: Final = 200.0  # its circle, and whole numbers of its waves
+VEHICLES: Final[dict[str, Trajectory]] = {
+    "car with turns": driving,
+    "boat on waves": boat,
+    "walker": walking,
+    "drone": drone,
+    "tractor": tractor,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,14 +193,16 @@ def _cells(score: Score) -> list[str]:
 
 def endured(updates: int, seed: int) -> tuple[float, bool, int]:
     """Give a filter that many inputs (gyro at 100 Hz, fixes at 10 Hz); return the smallest over the largest eigenvalue of the rotation's
-    covariance ever seen, whether all was finite, and resets."""
+    covariance ever seen, whether all was finite, and resets. The truth is of one cycle of the boat, again and again."""
     rng, attitude, worst, finite = np.random.default_rng(seed), AttitudeFilter(FilterOptions()), 1.0, True
+    steps = min(updates // 11 * 10, round(100.0 * BOAT_CYCLE_S))
+    rates, truths = [rate_at(boat, 0.01 * k) for k in range(steps)], [truth_at(boat, 0.1 * k) for k in range(-(-steps // 10))]
     for k in range(updates // 11 * 10):
-        time_s = 0.01 * k
-        attitude.gyro(START + time_s, rate_at(boat, time_s) + GYRO_SIGMA_RADPS * rng.standard_normal(3), GYRO_SIGMA_RADPS)
+        now, phase = START + 0.01 * k, k % steps
+        attitude.gyro(now, rates[phase] + GYRO_SIGMA_RADPS * rng.standard_normal(3), GYRO_SIGMA_RADPS)
         if k % 10 == 0:
-            attitude.rotation(START + time_s, measured(truth_at(boat, time_s), rng))
-            cov = attitude.predicted(START + time_s).cov_rad2
+            attitude.rotation(now, measured(truths[phase // 10], rng))
+            cov = attitude.predicted(now).cov_rad2
             finite = finite and bool(np.all(np.isfinite(cov)))
             values = np.linalg.eigvalsh(cov)
             worst = min(worst, float(values[0] / values[-1]))

@@ -12,13 +12,18 @@ NAN9 = (NAN,) * 9
 
 
 class BodyPoint(Wire, frozen=True, kw_only=True):
-    """Where a point of the body is. NaN without a position of any antenna. Height above the ellipsoid; covariance ENU, row-major, m^2."""
+    """Where a point of the body is. NaN without a position of any antenna. Height above the ellipsoid; covariance ENU, row-major, m^2.
+
+    Its velocity (ENU, m/s) with covariance: of the filtered attitude alone, which knows how the body turns about its antennas.
+    """
 
     position_ecef_m: Vector = NAN3
     lat_deg: float = NAN
     lon_deg: float = NAN
     height_m: float = NAN
     cov_enu_m2: tuple[float, ...] = NAN9
+    velocity_enu_mps: Vector = NAN3
+    velocity_cov_enu_m2ps2: tuple[float, ...] = NAN9
 
 
 class AttitudeMessage(Wire, frozen=True, kw_only=True):

@@ -235,7 +235,11 @@ class RecorderTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Ros2Table(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[ros2.ID]``: the bridge. Empty lists: everything there is."""
+    """``[ros2.ID]``: the bridge. Empty lists: everything there is.
+
+    ``poses``: of an attitude (its id) the point of its ``points`` where ``base_frame_id`` is: its pose in the map, and its motion.
+    ``map_origin``: latitude and longitude (deg) and ellipsoidal height (m) of the map's origin; without it the first position bridged.
+    """
 
     solvers: tuple[str, ...] = ()
     attitudes: tuple[str, ...] = ()
@@ -243,6 +247,13 @@ class Ros2Table(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     map_frame_id: str = "map"
     base_frame_id: str = "base_link"
     python: str = ""
+    poses: dict[str, str] = {}
+    map_origin: (
+        tuple[
+            Annotated[float, Meta(ge=-90.0, le=90.0)], Annotated[float, Meta(ge=-180.0, le=360.0)], Annotated[float, Meta(ge=-1e4, le=1e5)]
+        ]
+        | None
+    ) = None
 
 
 class MonitorTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

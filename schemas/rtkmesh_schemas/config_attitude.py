@@ -52,14 +52,35 @@ class ReceiverHeadingTable(Table, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class ImuTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[attitude.ID.imu]``: turn rates for the filter, from any program: JSON or msgpack maps on ``key``.
+    """``[attitude.ID.imu]``: an IMU for the filter, from any program: JSON or msgpack maps on ``key``.
 
-    Fields: ``rate_radps`` (3, body axes forward, right, down), ``week`` and ``tow_s`` (GPS time) or ``utc_s`` (seconds since 1970).
-    ``sigma_radps``: of one rate.
+    Fields: ``rate_radps`` (3, body axes forward, right, down); ``force_mps2`` (3, the same axes; 0, 0, -9.81 at rest): the plumb line,
+    less the vehicle's acceleration where ``positions`` tell it; ``yaw_increment_rad`` with ``interval_s``: by how much its own yaw grew
+    (clockwise), for the filter of kind ``heading``. Any of them; with ``week`` and ``tow_s`` (GPS time) or ``utc_s`` (seconds since 1970).
+    ``sigma_radps``: of one rate. ``force_sigma_mps2``: of half a second's mean force, its bias included. ``acceleration_sigma_mps2``:
+    how much the vehicle accelerates where no position tells. ``yaw_increment_sigma_rad``: of one growth of yaw.
     """
 
     key: Annotated[str, Meta(min_length=1, max_length=200)]
     sigma_radps: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.005
+    force_sigma_mps2: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1
+    acceleration_sigma_mps2: Annotated[float, Meta(gt=0.0, le=50.0)] = 0.7
+    yaw_increment_sigma_rad: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.001
+
+
+class CourseTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[attitude.ID.course]``: where the vehicle goes is where it points, for the filter. Off without this table: a vehicle that backs,
+    drifts, crabs in wind or current, or is carried, goes elsewhere, and nothing in its velocity says so.
+
+    ``position``: the one of ``positions`` whose velocity it is. ``min_speed_mps``: slower, there is none; ``sideslip_deg``: one sigma
+    between where it points and where it goes; ``max_sigma_deg``: less sure than that, there is none. The antenna's lever arm about the
+    origin of the body (which is to be where it does not slip: the rear axle) is taken into account.
+    """
+
+    position: Annotated[str, Meta(min_length=1, max_length=64)]
+    min_speed_mps: Annotated[float, Meta(gt=0.0, le=100.0)] = 1.0
+    sideslip_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 3.0
+    max_sigma_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 10.0
 
 
 class AttitudeFilterTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -133,6 +154,7 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     integrity: AttitudeIntegrityTable = AttitudeIntegrityTable()
     imu: ImuTable | None = None
     filter: AttitudeFilterTable | None = None
+    course: CourseTable | None = None
 
     @property
     def sources(self) -> tuple[str, ...]:

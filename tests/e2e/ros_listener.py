@@ -6,7 +6,7 @@ import threading
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TwistWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, QuaternionStamped, TwistWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, NavSatFix
@@ -36,6 +36,20 @@ def main() -> None:
         Imu, "/heading/heading",
         lambda m: say(topic="heading", q=[m.orientation.x, m.orientation.y, m.orientation.z, m.orientation.w],
                       cov=list(m.orientation_covariance), rate=m.angular_velocity_covariance[0]), 10)  # fmt: skip
+    node.create_subscription(
+        QuaternionStamped, "/heading/heading_quaternion",
+        lambda m: say(topic="heading_quaternion", frame=m.header.frame_id,
+                      q=[m.quaternion.x, m.quaternion.y, m.quaternion.z, m.quaternion.w]), 10)  # fmt: skip
+    node.create_subscription(
+        PoseWithCovarianceStamped, "/body/pose",
+        lambda m: say(topic="pose", frame=m.header.frame_id, p=[m.pose.pose.position.x, m.pose.pose.position.y, m.pose.pose.position.z],
+                      q=[m.pose.pose.orientation.x, m.pose.pose.orientation.y, m.pose.pose.orientation.z, m.pose.pose.orientation.w],
+                      cov=list(m.pose.covariance)), 10)  # fmt: skip
+    node.create_subscription(
+        TwistWithCovarianceStamped, "/body/twist",
+        lambda m: say(topic="twist", frame=m.header.frame_id, v=[m.twist.twist.linear.x, m.twist.twist.linear.y, m.twist.twist.linear.z],
+                      w=[m.twist.twist.angular.x, m.twist.twist.angular.y, m.twist.twist.angular.z],
+                      cov=list(m.twist.covariance)), 10)  # fmt: skip
     node.create_subscription(
         DiagnosticArray, "/diagnostics",
         lambda m: say(topic="diagnostics", messages={s.name: s.message for s in m.status}), 10)  # fmt: skip

@@ -119,3 +119,23 @@ def test_one_receiver_with_two_antennas(up: Callable[..., Deployment]) -> None:
     deployment.until(lambda: len(right(found, 2)) >= 30, WAIT_S)
     assert median(errors_deg(right(found, 2), truth("demo", seed=1), "heading_rad")) < 1.0
     ended(deployment, found)
+
+
+def test_the_receivers_own_headings_stand_in_for_our_baseline(up: Callable[..., Deployment]) -> None:
+    """UNIHEADING in the bytes of the UM982, first alone until our solver has its first fix, and while that is stopped."""
+    deployment = up(shipped("um982.toml"))
+    found, at = attitudes(deployment, "heading"), truth("demo", seed=1)
+    deployment.until(lambda: sum(m.sources == {"heading_rtk": "baseline"} for m in right(found, 2)) >= 5, WAIT_S)
+    assert deployment.ask("heading_rtk", "stop").ok
+    stopped = len(found)
+
+    def own() -> list[AttitudeMessage]:
+        return [m for m in right(found[stopped:], 2) if m.sources == {"main": "heading"}]
+
+    deployment.until(lambda: len(own()) >= 25, 60.0)
+    good = own()
+    off_deg = errors_deg(good, at, "heading_rad")
+    assert median(off_deg) < 0.6
+    assert all(error < 5.0 * degrees(m.covariance_rad2[0] ** 0.5) for error, m in zip(off_deg, good, strict=True))
+    assert median(errors_deg(good, at, "pitch_rad")) < 1.2
+    ended(deployment, found)

@@ -45,8 +45,19 @@ mode = "moving-base"
 systems = "GRE"
 [attitude.heading]
 solver = "vector"
+[attitude.body]
+solvers = ["vector"]
+positions = ["rtk"]
+[attitude.body.antennas]
+base = {{ position_m = [0.0, 0.0, 0.0], sigma_m = 0.05 }}
+rover = {{ position_m = [{length_m}, 0.0, 0.0], sigma_m = 0.05 }}
+[attitude.body.points.middle]
+position_m = [{half_m}, 0.0, 0.0]
+[attitude.body.filter]
 [ros2.bridge]
 python = "{python}"
+poses = {{ body = "middle" }}
+map_origin = [{lat_deg}, {lon_deg}, {height_m}]
 """
 
 
@@ -117,7 +128,10 @@ def listener(ros_python: str, data: Path, tmp_path: Path) -> Iterator[Listener]:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     file = tmp_path / "ros.toml"
-    file.write_text(DEPLOYMENT.format(port=port, data=data, python=ros_python))
+    length_m = float(np.linalg.norm(ROVER_ECEF_M - BASE_ECEF_M))
+    lat_rad, lon_rad, height_m = geodetic_from_ecef(BASE_ECEF_M)
+    origin = {"lat_deg": degrees(lat_rad), "lon_deg": degrees(lon_rad), "height_m": height_m}
+    file.write_text(DEPLOYMENT.format(port=port, data=data, python=ros_python, length_m=length_m, half_m=length_m / 2.0, **origin))
     environment = {**os.environ, "ROS_DOMAIN_ID": str(1 + port % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     heard = Listener(ros_python, environment)
     heard.until(lambda m: "ready" in m)
@@ -150,6 +164,10 @@ def test_topics_and_services(listener: Listener) -> None:
     east, north, _ = enu_from_ecef_at(BASE_ECEF_M) @ (ROVER_ECEF_M - BASE_ECEF_M)
     assert atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) == pytest.approx(atan2(north, east), abs=0.002)
     assert heading["rate"] == -1.0
+    quaternion = listener.until(lambda m: m.get("topic") == "heading_quaternion")
+    assert quaternion["frame"] == "map"
+    assert quaternion["q"][:2] == [0.0, 0.0]
+    assert 2.0 * atan2(quaternion["q"][2], quaternion["q"][3]) == pytest.approx(atan2(north, east), abs=0.002)
     told = listener.until(lambda m: m.get("topic") == "diagnostics" and m["messages"].get("rtkmesh/solver: rtk") == "FIX")
     assert {"rtkmesh/ingest: rover", "rtkmesh/attitude: heading"} <= set(told["messages"])
 
@@ -161,3 +179,23 @@ def test_topics_and_services(listener: Listener) -> None:
     assert "already" in again["message"]
     assert listener.call("/rtk/start")["success"]
     listener.until(lambda m: m.get("topic") == "fix")
+
+
+@pytest.mark.e2e
+@pytest.mark.ros
+@pytest.mark.data
+def test_the_body_has_a_pose_in_the_map_and_a_twist_of_its_own(listener: Listener) -> None:
+    """Half-way between two known antennas, pointing from one to the other; at rest. The map begins at the base."""
+    enu = enu_from_ecef_at(BASE_ECEF_M) @ (ROVER_ECEF_M - BASE_ECEF_M)
+    pose = listener.until(lambda m: m.get("topic") == "pose" and m["cov"][0] < 1e-2)
+    assert pose["frame"] == "map"
+    assert pose["p"] == pytest.approx((enu / 2.0).tolist(), abs=0.15)
+    x, y, z, w = pose["q"]
+    forward = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
+    assert forward == pytest.approx((enu / np.linalg.norm(enu)).tolist(), abs=0.005)
+    assert all(pose["cov"][7 * k] > 0.0 for k in range(6))
+    twist = listener.until(lambda m: m.get("topic") == "twist")
+    assert twist["frame"] == "base_link"
+    assert np.linalg.norm(twist["v"]) < 1.5
+    assert np.linalg.norm(twist["w"]) < 0.2
+    assert all(twist["cov"][7 * k] > 0.0 for k in range(6))

@@ -13,7 +13,7 @@ from tests.services.attitude_body import ANGLES_RAD, ECEF_FROM_ENU, ORIGIN_ECEF_
 from rtkmesh.attitude.rotation import NED_FROM_ENU, rotation_of_angles, rotation_of_quaternion
 from rtkmesh_schemas.attitude import AttitudeMessage, HeadingMessage
 from rtkmesh_schemas.config_attitude import BodyPointTable, ReceiverHeadingTable
-from rtkmesh_schemas.keys import ATT_NMEA
+from rtkmesh_schemas.keys import ATT_NMEA, SOL
 from rtkmesh_schemas.status import State
 from rtkmesh_services.attitude.matching import Matcher
 from rtkmesh_services.runtime.bus import Sample
@@ -242,6 +242,35 @@ def test_a_receivers_heading_alone() -> None:
     assert vehicle.service.report().counters["untimed"] == 1
 
 
+def test_a_receiver_that_tells_a_whole_attitude() -> None:
+    """AttEuler's heading, pitch and roll, with their sigmas; turned with the receiver; without its roll the heading is what it was."""
+    told = {"message": "AttEuler", "of_baseline": False, "roll_rad": radians(-6.0), "roll_sigma_rad": radians(0.9)}
+    vehicle = Vehicle(solvers=(), antennas={}, headings={"a": ReceiverHeadingTable()})
+    vehicle.say("a", heading_of((radians(300.0), radians(3.0)), 10.0, **told))
+    vehicle.say("a", heading_of((radians(300.0), radians(3.0)), 11.0, **{**told, "roll_rad": nan}))
+    whole, line = vehicle.attitudes()
+    assert angles_deg(whole) == pytest.approx([300.0, 3.0, -6.0], abs=1e-3)
+    assert sigmas_deg(whole) == pytest.approx([0.3, 0.6, 0.9], rel=0.05)
+    assert (whole.integrity, whole.finding, whole.reason) == ("ok", "no redundancy", "nothing tests it")
+    assert angles_deg(line)[:2] == pytest.approx([300.0, 3.0], abs=1e-3)
+    assert isnan(line.roll_rad)
+    turned = Vehicle(solvers=(), antennas={}, headings={"a": ReceiverHeadingTable(mounting_deg=90.0)})
+    turned.say("a", heading_of((radians(30.0), radians(6.0)), 10.0, **{**told, "roll_rad": radians(3.0)}))
+    assert angles_deg(turned.attitudes()[0])[:2] == pytest.approx([300.0, 3.0], abs=0.4)
+
+
+def test_a_whole_attitude_that_contradicts_the_baselines_is_left_out() -> None:
+    """A roll that is off by ten degrees."""
+    vehicle = Vehicle(headings={"a": ReceiverHeadingTable()})
+    for name in vehicle.baselines:
+        vehicle.say(name, vehicle.baseline(name, 10.0))
+    told = {"message": "AttEuler", "of_baseline": False, "roll_rad": radians(4.0), "roll_sigma_rad": radians(0.5)}
+    vehicle.say("a", heading_of((radians(300.0), radians(3.0)), 10.0, **told))
+    [message] = vehicle.attitudes()
+    assert message.sources_missing == {"a": "a contradicts the others"}
+    assert angles_deg(message) == pytest.approx([degrees(a) for a in ANGLES_RAD], abs=1e-6)
+
+
 def test_a_receivers_heading_of_a_pair_stands_in_for_its_baseline() -> None:
     """Both come from the same observations: it is used only while the baseline is not there."""
     vehicle = Vehicle({name: SQUARE[name] for name in "ab"}, headings={"a": ReceiverHeadingTable(antennas=("a", "b"))})
@@ -310,3 +339,14 @@ def test_nmea_is_said_to_who_listens() -> None:
 
 def test_an_empty_matcher_is_never_due() -> None:
     assert Matcher(("a",), 0.1, slowest=True).due_s() == float("inf")
+
+
+def test_a_replay_drops_no_solution_however_far_behind_the_attitude_is() -> None:
+    """More than an inbox's usual capacity, before the process takes the first."""
+    vehicle = Vehicle({name: SQUARE[name] for name in "ab"}, replay=True)
+    bus = MemoryBus("ab", vehicle.network)
+    for index in range(1500):
+        bus.publish(SOL, vehicle.baseline("ab", 10.0 + 0.2 * index))
+    for _ in range(1600):
+        vehicle.life.step(0.0)
+    assert len(vehicle.attitudes()) == 1500

@@ -61,6 +61,8 @@ def test_a_right_file_has_no_fault() -> None:
         ('positions = ["place"]', "mounting_deg = 90.0", "mounting_deg and the places of antennas: say it by the places"),
         ('positions = ["place"]', 'imu = { key = "a/b" }', "imu is for a filter: write [attitude.boat.filter]"),
         ('positions = ["place"]', 'filter = { publish = "gyro" }', "filter: publish = 'gyro' needs [attitude.boat.imu]"),
+        ("[attitude.boat]", '[attitude.boat]\ncourse = { position = "place" }', "course is for a filter: write"),
+        ("[attitude.boat]", '[attitude.boat]\ncourse = { position = "plaice" }', "'plaice' is none of its positions; did you mean"),
         ('positions = ["place"]', 'headings = { rare = { } }', "[attitude.boat] headings: no [ingest.rare]; did you mean 'rear'?"),
         ('positions = ["place"]', 'headings = { rear = { antennas = ["rear", "left"] } }', "of antenna 'left', which has no place"),
         ('solvers = ["along"]\npositions = ["place"]', "", "x.toml:18: [attitude.boat] has no 'solver', 'solvers', 'positions'"),

@@ -13,7 +13,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.config_attitude import AttitudeFilterTable, ImuTable
 from rtkmesh_schemas.errors import DecodeError
 from rtkmesh_schemas.keys import ATT_FILTERED
-from rtkmesh_services.attitude.filtering import gyro_sample
+from rtkmesh_services.attitude.imu import ImuSample, imu_sample
 from rtkmesh_services.runtime.bus import Sample
 
 
@@ -91,22 +91,23 @@ def test_the_scalar_heading_filter_is_a_choice() -> None:
 def test_times_of_a_gyro() -> None:
     """GPS time, or seconds since 1970."""
     rate = [0.1, 0.2, 0.3]
-    assert gyro_sample({"rate_radps": rate, "week": 2400, "tow_s": 1.5}) == (GpsTime(2400, 1.5), (0.1, 0.2, 0.3))
-    time, _ = gyro_sample({"rate_radps": rate, "utc_s": 1_700_000_000.25})
+    assert imu_sample({"rate_radps": rate, "week": 2400, "tow_s": 1.5}) == ImuSample(GpsTime(2400, 1.5), (0.1, 0.2, 0.3))
+    time = imu_sample({"rate_radps": rate, "utc_s": 1_700_000_000.25}).time
     assert time - GpsTime.normalized(0, 1_700_000_000.25 - 315964800.0 + 18.0) == pytest.approx(0.0, abs=1e-5)
 
 
 _ONE = st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**400) | st.text(max_size=3)
+_FIELDS = ("rate_radps", "force_mps2", "yaw_increment_rad", "interval_s", "week", "tow_s", "utc_s")
 _ANY = _ONE | st.lists(_ONE, max_size=4)
 
 
 @settings(max_examples=60, deadline=None)
-@given(_ANY | st.fixed_dictionaries({"rate_radps": _ANY, "week": _ANY, "tow_s": _ANY, "utc_s": _ANY}))
+@given(_ANY | st.fixed_dictionaries(dict.fromkeys(_FIELDS, _ANY)))
 def test_any_programs_message_is_a_sample_or_refused(message: object) -> None:
     """Whatever comes on the key."""
     try:
-        time, rate = gyro_sample(message)
+        sample = imu_sample(message)
     except DecodeError:
         return
-    assert time.week >= 0
-    assert all(abs(value) < radians(1e102) for value in rate)
+    assert sample.time.week >= 0
+    assert all(abs(value) < radians(1e102) for part in (sample.rate_radps, sample.force_mps2, sample.yaw) for value in part or ())

@@ -14,18 +14,20 @@ Matrix = NDArray[np.float64]
 
 _UNIT: Final = {n: np.eye(n) for n in (3, 9)}
 _LEARNING: Final = 0.1  # of the logarithm, per measurement and unit of the mean square
+_MANY: Final = 1000
 _LARGEST: Final = 10.0  # a mean square that counts
-_WALK_FACTORS: Final = (0.03, 10.0)
+_WALK_FACTORS: Final = (0.01, 10.0)
 GYRO_TELLS_S: Final = 1.0  # for so long after a gyro's sample it alone tells of the walk
 
 
-def learned_walk(walk: float, mean_square: float) -> float:
+def learned_walk(walk: float, mean_square: float, measurements: int = _MANY) -> float:
     """Return the factor of the rate's walk after an innovation whose square, per degree of freedom, was this in units of its covariance.
 
-    It is 1 in the mean when the walk is right. The factor rises in a few samples and falls slowly, between bounds.
+    It is 1 in the mean when the walk is right. The factor rises in a few samples and falls slowly, between bounds; at first, after few
+    ``measurements``, it moves more quickly.
     """
     least, most = _WALK_FACTORS
-    return min(most, max(least, walk * exp(_LEARNING * (min(mean_square, _LARGEST) - 1.0))))
+    return min(most, max(least, walk * exp(max(_LEARNING, 2.0 / (2.0 + measurements)) * (min(mean_square, _LARGEST) - 1.0))))
 
 
 def updated(cov: Matrix, jacobian: Matrix, noise: Matrix, value: Vector) -> tuple[Vector, Matrix, float]:

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.attitude import error_state
+from rtkmesh.attitude import error_state, foresight
 from rtkmesh.attitude.baseline import Mounting
 from rtkmesh.attitude.error_state import RATE, TURN, State
 from rtkmesh.attitude.estimation import chi_square_of, square
@@ -103,7 +103,8 @@ class RotationModel:
 
     def corrected(self, state: State, innovation: Innovation) -> State:
         """Return the state after a measurement."""
-        return error_state.levelled(error_state.corrected(state, innovation), self._options)
+        corrected = error_state.levelled(error_state.corrected(state, innovation), self._options)
+        return foresight.learned(state, innovation, corrected, self._options)
 
     def restarted(self, state: State, innovation: Innovation, drift_ned_radps: Vector, *, bias: bool) -> State:
         """Return the state made to agree."""
@@ -121,3 +122,7 @@ class RotationModel:
     def reopened(self, state: State) -> State:
         """Return the state with its rate unsure."""
         return error_state.reopened(state, self._options, bias=False)
+
+    def doubted(self, state: State) -> State:
+        """Return the state with the walk of any vehicle."""
+        return error_state.doubted(state)

@@ -150,6 +150,10 @@ class HeadingModel:
         cov[1, 1] = self._options.rate_sigma_radps**2
         return replace(state, cov=cov)
 
+    def doubted(self, state: HeadingState) -> HeadingState:
+        """Return the state with the walk of any vehicle, unless a gyro tells of it."""
+        return state if state.time_s - state.gyro_s < GYRO_TELLS_S else replace(state, walk=max(1.0, state.walk))
+
 
 def propagated(state: HeadingState, time_s: float, options: FilterOptions) -> HeadingState:
     """Return the state at a later time, turning at its rate."""

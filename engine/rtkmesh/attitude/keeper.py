@@ -2,7 +2,9 @@
 
 Decisions are final: what was accepted stays accepted when a late input takes its place and later ones are done again, and what was
 announced stays true. Gated measurements are forgotten, unless ``persistence`` of them in a row agree with each other: then the filter is
-wrong, not they, and it starts anew from the last of them. What the filter accepts in between ends the row.
+wrong, not they, and it starts anew from the last of them. What the filter accepts in between ends the row. While there is a doubt, the
+vehicle may also have begun to turn as it did not before: until something is accepted again, or the doubts disagree with each other,
+predictions are as unsure as that of any vehicle.
 """
 
 from functools import partial
@@ -81,6 +83,10 @@ class Model(Protocol[S]):
         """Return the state with its rate as unsure as at the start."""
         ...
 
+    def doubted(self, state: S) -> S:
+        """Return the state of a vehicle that may have begun to turn in a way that it did not before."""
+        ...
+
 
 class Keeper(Generic[S]):
     """The state of a filter along time. ``resets`` counts restarts after the first start."""
@@ -97,7 +103,11 @@ class Keeper(Generic[S]):
         self._late, self._late_s = 0, -np.inf
 
     def state_at(self, time: GpsTime) -> tuple[S | None, float, Why]:
-        """Return the last state not after a time, the time on its scale (s), and why there is none."""
+        """Return the last state not after a time, as it is to be predicted from; the time on its scale (s), and why there is none."""
+        state, time_s, why = self._last(time)
+        return self._model.doubted(state) if state is not None and self._doubts.since(time_s) else state, time_s, why
+
+    def _last(self, time: GpsTime) -> tuple[S | None, float, Why]:
         if self._timeline is None:
             return None, nan, Why.NOT_ALIGNED
         if not isfinite(time.tow_s):
@@ -127,7 +137,7 @@ class Keeper(Generic[S]):
         """Take a sample of a gyro at its own time; that it is finite is known."""
         if self._timeline is None:
             return Update(Outcome.REFUSED, Why.NOT_ALIGNED)
-        before, time_s, why = self.state_at(time)
+        before, time_s, why = self._last(time)
         if before is None:
             return Update(Outcome.REFUSED, why)
         if time_s - before.measured_s > self._options.max_coast_s:
@@ -170,7 +180,8 @@ class Keeper(Generic[S]):
 
     def _judged(self, before: S, time_s: float, measurement: Measurement, trust: Trust) -> Update:
         assert self._timeline is not None
-        state = self._model.propagated(before, time_s)
+        doubted = self._doubts.since(time_s)
+        state = self._model.propagated(self._model.doubted(before) if doubted else before, time_s)
         innovation = self._model.innovation(state, measurement)
         if innovation is None:
             return Update(Outcome.REFUSED, Why.VERTICAL)
@@ -179,8 +190,9 @@ class Keeper(Generic[S]):
             if trust.may_reset and self._doubts.enough(innovation, time_s):
                 return self._restart(state, measurement, Why.INNOVATION, chi_square)
             return Update(Outcome.GATED, Why.INNOVATION, chi_square=chi_square, degrees=degrees)
-        self._doubts.clear()
-        step = partial(self._applied, time_s=time_s, measurement=measurement)
+        if trust.may_reset:  # what may not overrule the filter does not speak for it, either
+            self._doubts.clear()
+        step = partial(self._applied, time_s=time_s, measurement=measurement, doubted=doubted)
         self._timeline.insert(self._with(state, innovation), step)
         return Update(Outcome.ACCEPTED, chi_square=chi_square, degrees=degrees)
 
@@ -206,8 +218,8 @@ class Keeper(Generic[S]):
         jump_rad = float(np.linalg.norm(innovation.turn_ned))
         return Update(Outcome.RESET, why, jump_rad, chi_square, len(innovation.value))
 
-    def _applied(self, state: S, time_s: float, measurement: Measurement) -> S:
-        state = self._model.propagated(state, time_s)
+    def _applied(self, state: S, time_s: float, measurement: Measurement, *, doubted: bool) -> S:
+        state = self._model.propagated(self._model.doubted(state) if doubted else state, time_s)
         innovation = self._model.innovation(state, measurement)
         return state if innovation is None else self._with(state, innovation)
 
@@ -229,12 +241,16 @@ class Doubts:
 
     def __init__(self, options: FilterOptions) -> None:
         self._options = options
-        self._count, self._time_s = 0, 0.0
+        self._count, self._time_s, self._wild = 0, 0.0, False
         self._turn, self._variance, self._drift = np.zeros(3), 0.0, np.zeros(3)
 
     def clear(self) -> None:
         """Forget them: the filter and a measurement agree."""
-        self._count = 0
+        self._count, self._wild = 0, False
+
+    def since(self, time_s: float) -> bool:
+        """Return whether the newest measurement before a time was gated, and may be right."""
+        return self._count > 0 and not self._wild and time_s >= self._time_s
 
     @property
     def drift_ned_radps(self) -> Vector:
@@ -248,7 +264,8 @@ class Doubts:
             self._count, self._drift = 1, np.zeros(3)
         else:
             growth = vector_of(rotation_of(innovation.turn_ned) @ rotation_of(self._turn).T)
-            self._count = self._count + 1 if self._count == 1 or self._steady(growth, variance, since_s) else 2
+            agrees = self._count == 1 or self._steady(growth, variance, since_s)
+            self._count, self._wild = (self._count + 1 if agrees else 2), not agrees
             self._drift = growth / since_s
         self._turn, self._variance, self._time_s = innovation.turn_ned, variance, time_s
         return self._count >= self._options.persistence

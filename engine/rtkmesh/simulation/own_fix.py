@@ -30,8 +30,9 @@ class OwnFix:
         place = geodetic_from_ecef(observed.position_ecef_m + turn.T @ (_FIX_ERROR_M * wander))
         east, north, up = (turn @ observed.velocity_ecef_mps + _VELOCITY_ERROR_MPS * wander).tolist()
         fix = 3 if satellites >= 5 else 0
-        return ReceiverFix(_rounded_ms(observed.epoch.time), fix, place[0], place[1], place[2], 1.2, 1.8, (north, east, -up), satellites)
+        return ReceiverFix(rounded_ms(observed.epoch.time), fix, place[0], place[1], place[2], 1.2, 1.8, (north, east, -up), satellites)
 
 
-def _rounded_ms(time: GpsTime) -> GpsTime:
+def rounded_ms(time: GpsTime) -> GpsTime:
+    """Return the time to the millisecond that receivers tell."""
     return GpsTime.normalized(time.week, round(time.tow_s * 1e3) * 1e-3)

@@ -82,6 +82,40 @@ def walking(time_s: float) -> Pose:
     return Pose((-radius * cos(turn), radius * sin(turn), up), turn % (2.0 * pi))
 
 
+_FLIGHT_S: Final = 80.0  # four legs of a square and a turn on the spot after each
+
+
+def drone(time_s: float) -> Pose:
+    """Fly a square of 60 m (4 m/s in the mean, nose down while it speeds up), turn by 90 degrees at the corners, buffeted by gusts."""
+    leg, phase_s = divmod(time_s % _FLIGHT_S, _FLIGHT_S / 4.0)
+    part, turned = min(phase_s / 15.0, 1.0), max(0.0, (phase_s - 15.0) / 5.0)
+    way = 60.0 * (part - sin(2.0 * pi * part) / (2.0 * pi))
+    heading = 0.5 * pi * (leg + turned - sin(2.0 * pi * turned) / (2.0 * pi))
+    east, north = ((0.0, way), (way, 60.0), (60.0, 60.0 - way), (60.0 - way, 0.0))[int(leg)]
+    speeding = 2.0 * pi * 60.0 / 15.0**2 * sin(2.0 * pi * part)  # m/s2, along the leg
+    pitch = -speeding / 9.81 + 0.02 * sin(2.0 * pi * time_s / 1.7)
+    roll = 0.03 * sin(2.0 * pi * time_s / 2.3) + 0.015 * sin(2.0 * pi * time_s / 0.9)
+    return Pose((east, north, 30.0 + 0.2 * sin(2.0 * pi * time_s / 6.0)), heading % (2.0 * pi), pitch, roll)
+
+
+_FURROW_S, _HEADLAND_S = 50.0, 12.0
+_FIELD_MPS: Final = 2.5
+
+
+def tractor(time_s: float) -> Pose:
+    """Plough furrows of 125 m at 2.5 m/s, turn half round on the headland, back beside it; rough ground and small corrections of course."""
+    row, phase_s = divmod(time_s % (2.0 * (_FURROW_S + _HEADLAND_S)), _FURROW_S + _HEADLAND_S)
+    along, turned = min(phase_s, _FURROW_S) * _FIELD_MPS, max(0.0, (phase_s - _FURROW_S) / _HEADLAND_S)
+    angle = pi * (turned - sin(2.0 * pi * turned) / (2.0 * pi))
+    radius = _FIELD_MPS * _HEADLAND_S / pi
+    east, north = radius * (1.0 - cos(angle)), along + radius * sin(angle)
+    if row:
+        east, north = 2.0 * radius - east, _FURROW_S * _FIELD_MPS - north
+    steering = 0.01 * sin(2.0 * pi * time_s / 5.3)
+    rough = 0.02 * sin(2.0 * pi * time_s / 1.9) + 0.01 * sin(2.0 * pi * time_s / 0.8), 0.025 * sin(2.0 * pi * time_s / 2.7)
+    return Pose((east, north, 0.0), (pi * row + angle + steering) % (2.0 * pi), *rough)
+
+
 _LEG_S: Final = 15.0  # from crossing to crossing: 6 m/s in the mean, 12 at most, 2.5 m/s2
 _WAIT_S: Final = 4.0  # at a crossing
 _ROUND: Final = ((1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (-1.0, 0.0), (0.0, -1.0))  # legs east and north

@@ -18,7 +18,7 @@ from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.config_attitude import AttitudeTable, ReceiverHeadingTable
 from rtkmesh_services.attitude.geometry import Chosen, Geometry
 from rtkmesh_services.attitude.matching import MatchedEpoch
-from rtkmesh_services.attitude.readings import VIRTUAL_LENGTH_M, Reading, SourceKind, SourceSpec
+from rtkmesh_services.attitude.readings import VIRTUAL_LENGTH_M, Reading, SourceKind, SourceSpec, right_of
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -56,12 +56,13 @@ def specs_of(table: AttitudeTable, deployment: Deployment) -> tuple[SourceSpec, 
 
 
 def layout_of(table: AttitudeTable) -> Layout:
-    """Return the antennas of a table, and two more for every heading that is not of two of them: the ends of its own line."""
+    """Return the antennas of a table, and for every heading that is not of two of them the ends of its own line and one to its right."""
     places = {name: (antenna.position_m, antenna.sigmas_m) for name, antenna in table.antennas.items()}
     for name, heading in table.headings.items():
         if not heading.antennas:
             start, end = _ends(name, heading)
             places[start], places[end] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (_direction(heading), (0.0, 0.0, 0.0))
+            places[right_of(name)] = _to_the_right(heading), (0.0, 0.0, 0.0)
     blocks = {name: antenna.covariance_m2 for name, antenna in table.antennas.items()}
     cov = joint_covariance({name: sigmas for name, (_, sigmas) in places.items()}, blocks)
     positions = np.array([place for place, _ in places.values()], dtype=np.float64).reshape(-1, 3)
@@ -101,7 +102,7 @@ class Body:
         missing |= {name: reading.reason for name, reading in epoch.readings.items() if reading.edge is None}
         readings = _without_spares([reading for reading in epoch.readings.values() if reading.edge is not None])
         readings, origin, rotation = _in_ned(readings, epoch.time)
-        found = self._judged([reading.edge for reading in readings if reading.edge is not None])
+        found = self._judged(_edges(readings))
         if (line := self._line_at_fault(found)) is not None:
             rest = [reading for reading in readings if reading.source.id != line]
             missing[line] = f"{line} contradicts the others"
@@ -135,18 +136,23 @@ class Body:
             found = judged(self.layout, joint(self.layout, edges), None, self._false_alarm)
         except np.linalg.LinAlgError:  # covariances of a stranger
             return Judged(None, Finding.NO_ATTITUDE)
-        if len(edges) == 1 and edges[0].alone and found.finding is Finding.OK:
-            return replace(found, finding=Finding.NO_REDUNDANCY)  # its length is ours, and tests nothing
+        if found.finding is Finding.OK and ((len(edges) == 1 and edges[0].alone) or self._is_one_line(edges)):
+            return replace(found, finding=Finding.NO_REDUNDANCY)  # its lengths are ours, and test nothing
         return found
+
+    def _is_one_line(self, edges: list[Edge]) -> bool:
+        """Return whether all is of one receiver that tells a whole attitude."""
+        starts = {edge.start for edge in edges}
+        return len(starts) == 1 and starts <= {start for start, _ in self._own_lines.values()}
 
     def _line_at_fault(self, found: Judged) -> str | None:
         """Return the heading whose own line of antennas is what disagrees: its two ends cannot be told apart, nor need they be."""
         blamed = {*found.suspects, *found.excluded}
-        return next((name for name, ends in self._own_lines.items() if blamed and blamed <= set(ends)), None)
+        return next((name for name, ends in self._own_lines.items() if blamed and blamed <= {*ends, right_of(name)}), None)
 
 
 def _edges(readings: Iterable[Reading]) -> list[Edge]:
-    return [reading.edge for reading in readings if reading.edge is not None]
+    return [edge for reading in readings for edge in (reading.edge, reading.across) if edge is not None]
 
 
 def _without_spares(readings: list[Reading]) -> list[Reading]:
@@ -182,3 +188,8 @@ def _direction(heading: ReceiverHeadingTable) -> tuple[float, float, float]:
     azimuth, elevation = radians(heading.mounting_deg), radians(heading.mounting_pitch_deg)
     level = VIRTUAL_LENGTH_M * cos(elevation)
     return level * cos(azimuth), level * sin(azimuth), -VIRTUAL_LENGTH_M * sin(elevation)
+
+
+def _to_the_right(heading: ReceiverHeadingTable) -> tuple[float, float, float]:
+    azimuth = radians(heading.mounting_deg)
+    return -VIRTUAL_LENGTH_M * sin(azimuth), VIRTUAL_LENGTH_M * cos(azimuth), 0.0

@@ -12,10 +12,10 @@ from rtkmesh.attitude.joint import angles_covariance, length_m, point_of, rotati
 from rtkmesh.attitude.rigid_body import Fit, Layout, Shape
 from rtkmesh.attitude.rotation import NED_FROM_ENU, quaternion_of
 from rtkmesh.codecs.nmea_encode import hdt, ths
-from rtkmesh.gnss.frames import geodetic_from_ecef
 from rtkmesh.gnss.integrity import Integrity
-from rtkmesh_schemas.attitude import NAN9, AttitudeMessage, BodyPoint
+from rtkmesh_schemas.attitude import AttitudeMessage, BodyPoint
 from rtkmesh_services.attitude.body import BodyAttitude
+from rtkmesh_services.attitude.points import placed
 from rtkmesh_services.attitude.readings import Reading, SourceKind
 
 Matrix = NDArray[np.float64]
@@ -127,14 +127,4 @@ def _point(found: BodyAttitude, fit: Fit | None, body_m: Matrix, unseen_sigma_ra
     place, cov = point_of(fit, body_m, unseen_sigma_rad)
     if not np.isfinite(place).all():
         return BodyPoint()
-    ecef = found.origin_ecef_m + found.ned_from_ecef.T @ place
-    lat_rad, lon_rad, height_m = geodetic_from_ecef(ecef).tolist()
-    cov_enu = NED_FROM_ENU @ cov @ NED_FROM_ENU
-    x, y, z = ecef.tolist()
-    return BodyPoint(
-        position_ecef_m=(x, y, z),
-        lat_deg=degrees(lat_rad),
-        lon_deg=degrees(lon_rad),
-        height_m=height_m,
-        cov_enu_m2=tuple(cov_enu.ravel().tolist()) if np.isfinite(cov_enu).all() else NAN9,
-    )
+    return placed(BodyPoint(), found.origin_ecef_m + found.ned_from_ecef.T @ place, cov)

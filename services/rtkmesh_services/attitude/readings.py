@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from math import hypot, isfinite, nan, radians, sqrt
+from math import asin, atan2, hypot, isfinite, nan, radians, sqrt
 from typing import Any
 
 import numpy as np
 
 from rtkmesh.attitude.joint import Edge, heading_edge
-from rtkmesh.attitude.rotation import NED_FROM_ENU
+from rtkmesh.attitude.rotation import NED_FROM_ENU, rotation_of_angles
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import HeadingMessage
@@ -20,6 +20,7 @@ FIX, FLOAT = 1, 2
 LARGEST_M, LARGEST_M2 = 1e8, 1e6  # beyond the earth, and a kilometre: no measurements (nor is NaN)
 LARGEST_CLOCK_S = 0.1  # receivers keep theirs within a millisecond or two; beyond this (nor is NaN) it is none
 VIRTUAL_LENGTH_M = 1.0  # of the line of antennas of a heading that says no length
+_LOOSE_RAD = 1.0
 
 
 class SourceKind(StrEnum):
@@ -42,10 +43,16 @@ class SourceSpec:
     heading: ReceiverHeadingTable | None = None
 
 
+def right_of(name: str) -> str:
+    """Return the end of the line to the right of a receiver that tells a whole attitude."""
+    return f"{name}: right"
+
+
 @dataclass(frozen=True, slots=True)
 class Reading:
     """One message of a source. ``edge`` None: it says nothing now, and ``reason`` why. Of a position the vector is ECEF.
 
+    ``across``: the other edge of a receiver that tells a whole attitude. ``velocity_enu_mps`` of a position with its covariance.
     ``candidates_follow``: those of its integers; ``chosen``: its integers are of the geometry, not of its solver; ``solution``: what it
     was read from.
 
@@ -61,6 +68,9 @@ class Reading:
     age_s: float = 0.0
     received_mono_ns: int = 0
     velocity_ecef_mps: tuple[float, float, float] = field(default=(nan, nan, nan))
+    across: Edge | None = None
+    velocity_enu_mps: tuple[float, float, float] = field(default=(nan, nan, nan))
+    velocity_cov_enu_m2ps2: tuple[float, ...] = (nan,) * 9
     clock_s: float = 0.0
     candidates_follow: bool = False
     chosen: bool = False
@@ -89,6 +99,8 @@ def of_solution(source: SourceSpec, message: SolutionMessage, *, accept_float: b
         age_s=message.age_s,
         received_mono_ns=message.received_mono_ns,
         velocity_ecef_mps=message.velocity_ecef_mps,
+        velocity_enu_mps=message.velocity_enu_mps,
+        velocity_cov_enu_m2ps2=message.velocity_cov_enu_m2ps2,
         solution=message,
         candidates_follow=message.candidates and source.kind is SourceKind.BASELINE,
         clock_s=message.receiver_clock_s if abs(message.receiver_clock_s) < LARGEST_CLOCK_S else 0.0,
@@ -108,6 +120,7 @@ def of_heading(source: SourceSpec, message: HeadingMessage, length_m: float, uns
         source=source,
         time=time_of(*message.time),
         edge=edge,
+        across=None if edge is None else _across(source, source.heading, message),
         reason="" if edge is not None else f"{source.id} has no heading ({message.message} {message.solution})".replace(" )", ")"),
         status=FLOAT if message.solution == "float" else FIX,
         status_name="FLOAT" if message.solution == "float" else "FIX",
@@ -155,6 +168,16 @@ def _line(source: SourceSpec, table: ReceiverHeadingTable, message: HeadingMessa
     if not measured:
         return edge
     return Edge(edge.start, edge.end, edge.vector_ned_m * (message.length_m / length_m), edge.cov_m2, alone=True)
+
+
+def _across(source: SourceSpec, table: ReceiverHeadingTable, message: HeadingMessage) -> Edge | None:
+    """Return the edge to the right of a vehicle's attitude: of its azimuth, which the line of the heading has, next to nothing is said."""
+    if table.antennas or message.of_baseline or not isfinite(message.pitch_rad + message.roll_rad):
+        return None
+    north, east, down = rotation_of_angles(message.heading_rad, message.pitch_rad, message.roll_rad)[:, 1].tolist()
+    sigma = _at_least(message.roll_sigma_rad, sqrt(2.0) * radians(table.sigma_deg))
+    angles, sigmas = (atan2(east, north), -asin(max(-1.0, min(1.0, down)))), (_LOOSE_RAD, sigma)
+    return heading_edge((source.start, right_of(source.id)), angles, sigmas, VIRTUAL_LENGTH_M, None)
 
 
 def _at_least(sigma: float, least: float) -> float:

@@ -17,7 +17,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import InputStatus, Level, State
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.attitude.body import Body, BodyAttitude, specs_of
-from rtkmesh_services.attitude.filtering import Filtering
+from rtkmesh_services.attitude.filtering import Filtering, courses_of
 from rtkmesh_services.attitude.guard import Guard
 from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher, never
 from rtkmesh_services.attitude.messages import body_message, nmea_of
@@ -31,6 +31,7 @@ from rtkmesh_services.runtime.statistics import RollingQuantiles
 STALE_S = 5.0
 FIRST_S = 15.0  # the same for the first solution: the solver has to start
 REPLAY_WAIT_S = 10.0  # a replay is worth waiting for what a loaded machine brings late
+REPLAY_LANE = 1 << 16  # solutions of a replay that runs as fast as it can: none is dropped
 
 
 class AttitudeService(Service):
@@ -50,10 +51,11 @@ class AttitudeService(Service):
         self._geometry = None if body is None else body.geometry
         self._guard = Guard(self._table, None if self._body is None else self._body.layout)
         self._points = {name: point.position_m for name, point in self._table.points.items()}
-        wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if any(t.replay for t in context.deployment.ingest.values()) else self._table.wait_s
+        self._replay = any(table.replay for table in context.deployment.ingest.values())
+        wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if self._replay else self._table.wait_s
         wanted = never if self._geometry is None else self._geometry.wanted
         self._matcher = Matcher(tuple(self._specs), wait_s, slowest=self._table.rate == "slowest", wanted=wanted)
-        self._filtering = Filtering(self._table, self._table.filter, self._unseen_rad) if self._body and self._table.filter else None
+        self._filtering = self._filter_of(self._table)
         self._imu = "" if self._table.imu is None else self._table.imu.key
         self._at_gyro = self._table.filter is not None and self._table.filter.publish == "gyro"
         self._sequence = self._filtered = 0
@@ -66,6 +68,12 @@ class AttitudeService(Service):
         self._counts: Counter[str] = Counter()
         self._latency_ms, self._published_ms = RollingQuantiles(), RollingQuantiles()
 
+    def _filter_of(self, table: AttitudeTable) -> Filtering | None:
+        if self._body is None or table.filter is None:
+            return None
+        courses = None if table.course is None else courses_of(table, self._specs[table.course.position].end)
+        return Filtering(table, table.filter, self._unseen_rad, courses)
+
     def warm(self) -> None:
         """Compile or load the kernels of the choice of integers."""
         if self._geometry is not None:
@@ -74,6 +82,8 @@ class AttitudeService(Service):
     def open(self) -> None:
         """Subscribe to the sources."""
         self._opened_s = self._now_s()
+        if self._replay:
+            self.context.inbox.lane("sol", capacity=REPLAY_LANE)
         self.context.bus.matched(ATT_NMEA)  # declares it: listeners are known before the first attitude
         for name in self._specs:
             stream = HEADING if name in self._table.headings else SOL
@@ -88,7 +98,7 @@ class AttitudeService(Service):
         if not isinstance(item, Sample):
             return
         if item.key == self._imu:
-            self._take_gyro(item)
+            self._take_imu(item)
             return
         self._arrived_ns = self.context.clock.mono_ns()
         spec = self._specs[item.key.split("/")[1]]
@@ -166,7 +176,7 @@ class AttitudeService(Service):
             message = self._guard.of_body(found, message)
             self._tell(found, message)
             self._publish(message)
-            self._filter(found, message)
+            self._filter(found, message, epoch.readings.values())
 
     def _publish_one(self, epoch: MatchedEpoch) -> None:
         """Publish the attitude of a baseline of known length."""
@@ -186,7 +196,7 @@ class AttitudeService(Service):
         if message.received_mono_ns:
             self._latency_ms.add(now_ns, (now_ns - message.received_mono_ns) * 1e-6)
 
-    def _filter(self, found: BodyAttitude, message: AttitudeMessage) -> None:
+    def _filter(self, found: BodyAttitude, message: AttitudeMessage, readings: Iterable[Reading]) -> None:
         """Give an epoch to the filter and publish what it says of this instant; that it began anew is told."""
         if self._filtering is None:
             return
@@ -195,26 +205,27 @@ class AttitudeService(Service):
             jump_deg = degrees(update.jump_rad)
             text = f"the attitude filter began anew: by {jump_deg:.1f} deg ({update.why.value})"
             self.context.event(Level.WARNING, "attitude_reset", text, jump_deg=jump_deg)
-        self._publish_filtered(found.time, message)
+        self._filtering.moved(readings)
+        self._publish_filtered(found.time, message, found)
 
-    def _take_gyro(self, item: Sample) -> None:
+    def _take_imu(self, item: Sample) -> None:
         if self._filtering is None:
             return
         self._messages[self._imu] += 1
         try:
-            time = self._filtering.gyro(item.payload, item.encoding)
+            time = self._filtering.imu(item.payload, item.encoding)
         except DecodeError:
             self._errors[self._imu] += 1
             return
         if self._at_gyro and self._last is not None:
-            self._publish_filtered(time, self._last)
+            self._publish_filtered(time, self._last, None)
 
-    def _publish_filtered(self, time: GpsTime, epoch: AttitudeMessage) -> None:
+    def _publish_filtered(self, time: GpsTime, epoch: AttitudeMessage, found: BodyAttitude | None) -> None:
         assert self._filtering is not None, "there is a filter"
         now_ns = self.context.clock.mono_ns()
         identity = {"sequence": self._filtered, "published_mono_ns": now_ns}
         self._filtered += 1
-        self.context.bus.publish(ATT_FILTERED, self._filtering.message(time, epoch, **identity))
+        self.context.bus.publish(ATT_FILTERED, self._filtering.message(time, epoch, found, **identity))
 
     def _tell(self, found: BodyAttitude, message: AttitudeMessage) -> None:
         """Tell when the antennas are others than those of the last attitude."""
@@ -256,7 +267,7 @@ class AttitudeService(Service):
         if not self._imu:
             return []
         messages, errors = self._messages[self._imu], self._errors[self._imu]
-        return [InputStatus(name=self._imu, state="receiving" if messages else "waiting", detail="gyro", messages=messages, errors=errors)]
+        return [InputStatus(name=self._imu, state="receiving" if messages else "waiting", detail="imu", messages=messages, errors=errors)]
 
     def _counters(self) -> dict[str, int]:
         matched = {"late": self._matcher.late.total(), "between": self._matcher.skipped, "restarts": self._matcher.restarts}

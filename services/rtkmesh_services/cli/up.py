@@ -214,7 +214,7 @@ def never(foreground: Foreground) -> tuple[str, int] | None:
 
 
 class AtEnd:
-    """End when every solver (without solvers: every receiver) has said that its recordings are at their end.
+    """End when every solver (without solvers: every receiver) has said that its recordings are at their end, and attitudes came to rest.
 
     A solver that began anew after its receivers had sent everything will never say so: then it ends as failed.
     """
@@ -222,6 +222,8 @@ class AtEnd:
     def __init__(self, site: Site) -> None:
         self._receivers = {id_ for id_, table in site.deployment.ingest.items() if table.source.startswith("file:")}
         self._waited = set(site.deployment.solver) or self._receivers
+        self._attitudes = set(site.deployment.attitude)
+        self._at_rest: dict[str, tuple[int, int]] = {}
         self._solved, self._idle_since_s = -1, 0.0
 
     def __call__(self, foreground: Foreground) -> tuple[str, int] | None:
@@ -235,10 +237,23 @@ class AtEnd:
                 return f"ingest {id_}: {status.reason}", EXIT_FAILED
         ended = {id_ for id_, (status, _) in foreground.board.statuses.items() if status.data.get("end")}
         if self._waited <= ended:
-            return "all recordings are at their end", 0
+            rests = self._are_at_rest(foreground.board) or self._idle_s(foreground.board) > _IDLE_S
+            return ("all recordings are at their end", 0) if rests else None
         if self._receivers and self._receivers <= ended and self._idle_s(foreground.board) > _IDLE_S:
             return f"all recordings are at their end, but {', '.join(sorted(self._waited - ended))} did not finish", EXIT_FAILED
         return None
+
+    def _are_at_rest(self, board: Board) -> bool:
+        """Return whether every attitude has told twice since the end that it has taken as many messages, and all of them."""
+        resting = 0
+        for id_ in self._attitudes & set(board.statuses):
+            status, _ = board.statuses[id_]
+            taken = sum(row.messages for row in status.inputs)
+            heartbeat, before = self._at_rest.setdefault(id_, (status.heartbeat, -1))
+            if before != taken:
+                self._at_rest[id_] = status.heartbeat, taken
+            resting += before == taken and status.heartbeat >= heartbeat + 2
+        return resting == len(self._attitudes & set(board.statuses))
 
     def _idle_s(self, board: Board) -> float:
         """Return how long no solution has come since all receivers ended."""

@@ -11,13 +11,14 @@ from typing import Any, Final
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import TwistWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, QuaternionStamped, TwistWithCovarianceStamped
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
 from rtkmesh_services.ros2.conversion import Diagnostic, Fix, Orientation, Stamp, Velocity
+from rtkmesh_services.ros2.pose import HeadingQuaternion, Pose, Twist
 
 QOS_DEPTH: Final = 10  # reliable, volatile: matches reliable and sensor-data subscribers
 OPERATIONS: Final = ("start", "stop", "restart")
@@ -25,7 +26,10 @@ Command = Callable[[str, str], tuple[bool, str]]
 
 
 class BridgeNode:
-    """Publishers and services of one node, spun by a thread of its own. Topics: ``/{id}/fix``, ``fix_velocity``, ``heading``."""
+    """Publishers and services of one node, spun by a thread of its own.
+
+    Topics: ``/{id}/fix``, ``fix_velocity``, ``heading``, ``heading_quaternion``, ``pose``, ``twist``.
+    """
 
     def __init__(self, name: str, frame_id: str, map_frame_id: str, base_frame_id: str) -> None:
         self._frame_id, self._map_frame_id, self._base_frame_id = frame_id, map_frame_id, base_frame_id
@@ -49,9 +53,13 @@ class BridgeNode:
         for operation in OPERATIONS:
             self._node.create_service(Trigger, f"/{name}/{operation}", _trigger(name, operation, command))
 
-    def add_attitude(self, name: str) -> None:
-        """Offer an attitude's topic."""
+    def add_attitude(self, name: str, *, pose: bool) -> None:
+        """Offer an attitude's topics; ``pose``: those of a point of the body, too."""
         self._publisher(name, "heading", Imu)
+        self._publisher(name, "heading_quaternion", QuaternionStamped)
+        if pose:
+            self._publisher(name, "pose", PoseWithCovarianceStamped)
+            self._publisher(name, "twist", TwistWithCovarianceStamped)
 
     def publish_fix(self, name: str, fix: Fix) -> None:
         """Publish a position."""
@@ -96,6 +104,40 @@ class BridgeNode:
             message.angular_velocity_covariance = list(orientation.rate_covariance)
         message.linear_acceleration_covariance[0] = -1.0
         publisher.publish(message)
+
+    def publish_heading_quaternion(self, name: str, heading: HeadingQuaternion) -> None:
+        """Publish a heading alone, in the map's axes."""
+        publisher = self._publishers[name, "heading_quaternion"]
+        if publisher.get_subscription_count():
+            message = QuaternionStamped()
+            _head(message.header, heading.stamp, self._map_frame_id)
+            q = message.quaternion
+            q.x, q.y, q.z, q.w = heading.quaternion
+            publisher.publish(message)
+
+    def publish_pose(self, name: str, pose: Pose) -> None:
+        """Publish where the base frame is in the map."""
+        publisher = self._publishers[name, "pose"]
+        if publisher.get_subscription_count():
+            message = PoseWithCovarianceStamped()
+            _head(message.header, pose.stamp, self._map_frame_id)
+            p, q = message.pose.pose.position, message.pose.pose.orientation
+            p.x, p.y, p.z = pose.position
+            q.x, q.y, q.z, q.w = pose.quaternion
+            message.pose.covariance = list(pose.covariance)
+            publisher.publish(message)
+
+    def publish_twist(self, name: str, twist: Twist) -> None:
+        """Publish how the base frame moves, in its own axes."""
+        publisher = self._publishers[name, "twist"]
+        if publisher.get_subscription_count():
+            message = TwistWithCovarianceStamped()
+            _head(message.header, twist.stamp, self._base_frame_id)
+            linear, angular = message.twist.twist.linear, message.twist.twist.angular
+            linear.x, linear.y, linear.z = twist.linear
+            angular.x, angular.y, angular.z = twist.angular
+            message.twist.covariance = list(twist.covariance)
+            publisher.publish(message)
 
     def publish_diagnostics(self, diagnostics: Iterable[Diagnostic]) -> None:
         """Publish what the processes tell of themselves."""

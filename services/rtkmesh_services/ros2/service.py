@@ -1,6 +1,7 @@
 """The ROS 2 bridge: chosen solvers, attitudes and all processes' states as topics; start, stop, restart as services."""
 
 from collections import Counter
+from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rtkmesh_schemas.attitude import AttitudeMessage
@@ -12,6 +13,7 @@ from rtkmesh_schemas.status import InputStatus, ServiceStatus
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.errors import ServiceError
 from rtkmesh_services.ros2.conversion import diagnostic_of, fix_of, orientation_of, velocity_of
+from rtkmesh_services.ros2.pose import Map, heading_quaternion_of, pose_of, twist_of
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.calls import call
 from rtkmesh_services.runtime.service import Context, Report, Service
@@ -34,6 +36,7 @@ class Ros2Service(Service):
         self._solvers = self._table.solvers or tuple(context.deployment.solver)
         self._attitudes = self._table.attitudes or tuple(context.deployment.attitude)
         self._node: BridgeNode | None = None
+        self._map = Map(*self._table.map_origin) if self._table.map_origin else None
         self._solutions: dict[str, SolutionMessage] = {}
         self._statuses: dict[str, ServiceStatus] = {}
         self._counts: Counter[str] = Counter()
@@ -53,7 +56,7 @@ class Ros2Service(Service):
         for name in self._solvers:
             node.add_solver(name, self._command)
         for name in self._attitudes:
-            node.add_attitude(name)
+            node.add_attitude(name, pose=name in self._table.poses)
         self._node = node
 
     def open(self) -> None:
@@ -99,16 +102,30 @@ class Ros2Service(Service):
         if kind == "status":
             self._statuses[name] = decode(ServiceStatus, sample.payload, sample.encoding)
         elif kind == "att":
-            orientation = orientation_of(decode(AttitudeMessage, sample.payload, sample.encoding))
-            if orientation is not None:
-                self._node.publish_heading(name, orientation)
-                self._counts["heading"] += 1
+            self._bridge_attitude(self._node, name, decode(AttitudeMessage, sample.payload, sample.encoding))
         else:
             solution = self._solutions[name] = decode(SolutionMessage, sample.payload, sample.encoding)
             self._node.publish_fix(name, fix_of(solution, self._systems(name)))
             self._counts["fix"] += 1
             if (velocity := velocity_of(solution)) is not None:
                 self._node.publish_velocity(name, velocity)
+
+    def _bridge_attitude(self, node: "BridgeNode", name: str, attitude: AttitudeMessage) -> None:
+        orientation, heading = orientation_of(attitude), heading_quaternion_of(attitude)
+        if orientation is not None and heading is not None:
+            node.publish_heading(name, orientation)
+            node.publish_heading_quaternion(name, heading)
+            self._counts["heading"] += 1
+        point = attitude.points.get(self._table.poses.get(name, ""))
+        if point is None or not isfinite(point.height_m):
+            return
+        self._map = self._map or Map(point.lat_deg, point.lon_deg, point.height_m)
+        if (pose := pose_of(attitude, point, self._map)) is not None:
+            node.publish_pose(name, pose)
+            self._counts["pose"] += 1
+        if (twist := twist_of(attitude, point)) is not None:
+            node.publish_twist(name, twist)
+            self._counts["twist"] += 1
 
     def _attitude_stream(self, name: str) -> Stream:
         """Return the filtered attitudes of a process that has a filter."""

@@ -64,6 +64,7 @@ def _faults(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[t
         yield ("filter", "publish"), f"filter: publish = 'gyro' needs [attitude.{id}.imu]"
     if table.filter is not None and not (table.antennas or table.headings):
         yield ("filter",), f"filter needs the places of the antennas: write [attitude.{id}.antennas.NAME]"
+    yield from _course(id, table)
     if not (table.antennas or table.solvers or table.positions or table.headings):
         return
     yield from _places(id, table, deployment)
@@ -71,6 +72,16 @@ def _faults(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[t
     for name in _MOUNTING:
         if table.antennas and getattr(table, name) not in (None, 0.0):
             yield (name,), f"{name} and the places of antennas: say it by the places"
+
+
+def _course(id: str, table: AttitudeTable) -> Iterator[tuple[tuple[str, ...], str]]:  # noqa: A002
+    if table.course is None:
+        return
+    if table.filter is None:
+        yield ("course",), f"course is for a filter: write [attitude.{id}.filter]"
+    if table.course.position not in table.positions:
+        near = nearest(table.course.position, list(table.positions))
+        yield ("course", "position"), f"course: {table.course.position!r} is none of its positions{near}"
 
 
 def _modes(table: AttitudeTable, deployment: Deployment) -> Iterator[tuple[tuple[str, ...], str]]:

@@ -191,6 +191,15 @@ def _check_lists(reader: Faults, deployment: Deployment) -> None:
             _check_reference(reader, "solver", solver, ("ros2", id, "solvers", str(index)))
         for index, attitude in enumerate(table.attitudes):
             _check_reference(reader, "attitude", attitude, ("ros2", id, "attitudes", str(index)))
+        for attitude, point in table.poses.items():
+            _check_pose(reader, deployment, id, attitude, point)
+
+
+def _check_pose(reader: Faults, deployment: Deployment, id: str, attitude: str, point: str) -> None:  # noqa: A002
+    _check_reference(reader, "attitude", attitude, ("ros2", id, "poses", attitude))
+    if attitude in deployment.attitude and point not in (points := deployment.attitude[attitude].points):
+        there = nearest(point, list(points)) or f": write [attitude.{attitude}.points.{point}]"
+        reader.fault(("ros2", id, "poses", attitude), f"[ros2.{id}] poses: [attitude.{attitude}] has no point {point!r}{there}")
 
 
 def _check_rules(reader: Faults, deployment: Deployment) -> None:
