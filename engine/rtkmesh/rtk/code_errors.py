@@ -8,7 +8,7 @@ it to have by then. Were the filter right, the squares of these means over their
 GLONASS has no say: its codes are shifted by channel between makes, a lasting error that its learned noise keeps out of the position.
 """
 
-from math import isfinite
+from math import isfinite, sqrt
 from typing import Final
 
 import numpy as np
@@ -27,11 +27,13 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 # What the variance of floats is multiplied by before codes have shown anything, and what that is worth in degrees of freedom. Simulated
-# runs ask for 0.05 to 0.15, recordings for 0.6 to 6: a mean of minutes is one sample of few degrees, so the start counts for some.
-PRIOR: Final = 0.25
+# runs ask for 0.05 to 0.15, recordings for 0.6 to 6: a mean of minutes is one sample of few degrees, so the start counts for some. (A start
+# of 0.25 made the few satellites of one band and of streets 2 to 5 times too sure.)
+PRIOR: Final = 1.0
 PRIOR_DOF: Final = 3.0
 LEAST: Final = 0.05
 MOST: Final = 20.0
+FAR_M: Final = 5e3  # from here on what the atmosphere does to floats, which no code shows, is not to be made less
 
 
 @kernel
@@ -59,7 +61,10 @@ def float_factor(
         count += 1
         judged[codes.group[k]] = True
     redundancy = count - np.count_nonzero(judged) - UNKNOWNS
-    return factor_of(squares, float(redundancy)) if redundancy > 0 else 1.0
+    if redundancy <= 0:
+        return 1.0
+    factor, length_m = factor_of(squares, float(redundancy)), sqrt(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2)
+    return factor if length_m < FAR_M else max(factor, 1.0)
 
 
 @kernel
