@@ -77,8 +77,7 @@ def test_wrong_commands_are_refused_with_what_there_is(up: Up) -> None:
     assert "hub, one, two" in unknown.message
     assert "id=ID" in deployment.ask("control", "stop").message
     assert not deployment.ask("control", "output", id="one", lines="many").ok
-    output = deployment.ask("control", "output", id="one")
-    assert any("RUNNING" in line for line in output.data["lines"])
+    deployment.until(lambda: any("RUNNING" in line for line in deployment.ask("control", "output", id="one").data["lines"]))
 
 
 def test_reload_applies_only_what_has_changed(up: Up, tmp_path: Path) -> None:

@@ -32,13 +32,13 @@ def sigmas() -> Iterator[ModuleType]:
             del sys.modules[name]
 
 
-# Family, bounds of the mean of its fixes and of its floats: the target, but for the floats of survey antennas on one band (0.29 over 20
-# runs: no float of theirs is as good as they are), of the others (0.53 to 0.75) and the fixes of six runs of the M8 class (0.73 over 20).
+# Family, bounds of the mean of its fixes and of its floats: the target for fixes, but for six runs of the M8 class (0.73 over 20); floats
+# are better than they say (0.11 to 0.42 over 20 runs), since what makes these honest makes floats in streets too sure.
 SIMULATED = [
-    ("open", (0.7, 1.5), (0.4, 1.5)),
-    ("open_survey_l1", (0.7, 1.5), (0.15, 1.5)),
-    ("open_f9p_l1", (0.7, 1.5), (0.4, 1.5)),
-    ("open_m8_l1", (0.6, 1.5), (0.4, 1.5)),
+    ("open", (0.7, 1.5), (0.2, 1.5)),
+    ("open_survey_l1", (0.7, 1.5), (0.05, 1.5)),
+    ("open_f9p_l1", (0.7, 1.5), (0.15, 1.5)),
+    ("open_m8_l1", (0.6, 1.5), (0.15, 1.5)),
 ]
 
 
@@ -54,11 +54,11 @@ def test_simulated_open_sky(sigmas: ModuleType, name: str, fix: tuple[float, flo
 
 
 # Recording, the same. Behind the fixes 0.77, 0.53 and 1.49: of the second the mean of its own fixes is the truth, and what its multipath
-# does in five minutes is 0.54 of all of it. Behind the floats 1.30, 5.1 (five satellites: residuals see little of their codes) and 1.97.
+# does in five minutes is 0.54 of all of it. Behind the floats 0.67, 2.2 (five satellites: residuals see little of their codes) and 1.66.
 RECORDED = [
-    ("kanagawa_60s", (0.7, 1.5), (0.7, 1.8)),
-    ("tokyo_static_l1gps", (0.4, 1.5), (0.7, 6.0)),
-    ("geonet_2005", (0.7, 1.6), (0.7, 2.5)),
+    ("kanagawa_60s", (0.7, 1.5), (0.5, 1.5)),
+    ("tokyo_static_l1gps", (0.4, 1.5), (0.7, 2.8)),
+    ("geonet_2005", (0.7, 1.6), (0.7, 2.2)),
 ]
 
 

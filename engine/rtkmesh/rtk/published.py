@@ -28,6 +28,7 @@ PRIOR_DOF: Final = 2.0  # what that is worth: less than an epoch
 MEMORY_DOF: Final = 500.0  # some tens of epochs; multipath changes within minutes (2000: galway_a_glw1 1.54 instead of 1.39)
 LEAST: Final = 0.005  # 0.4 mm per receiver at the zenith: no better phases exist
 MOST: Final = 4.0  # as the filter's own
+LARGEST_RATIO: Final = 25.0  # of an epoch's variance to the filter's: beyond, an epoch of few satellites sees hardly anything of one direction
 # How much of what a fix owes to earlier epochs, by ambiguities that are not held, counts: the filter takes multipath of successive epochs
 # for independent. 1: galway_a_glw1 2.1 and stromlo_l12 1.9; 0: simulated runs 0.69.
 FILTER_SHARE: Final = 0.4
@@ -65,7 +66,8 @@ def fix_covariance(
     epoch = solve_epoch(phase_ranges(f, d, layout, update.phase_used, 1.0, turn))
     if sure and epoch.dof > 0:
         learn_fix(scale, epoch.chi2, float(epoch.dof))
-    factor, share = fix_factor(scale), FILTER_SHARE if epoch.solved else 1.0
+    tells = epoch.solved and _is_sound(epoch.cov, (P[0, 0] + P[1, 1] + P[2, 2]) / filters)
+    factor, share = fix_factor(scale), FILTER_SHARE if tells else 1.0
     length_m, out = sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2), np.empty((3, 3))
     smooth = ((SMOOTH_HORIZONTAL * length_m) ** 2, (SMOOTH_HORIZONTAL * length_m) ** 2, (SMOOTH_VERTICAL * length_m) ** 2)
     for i in range(3):
@@ -74,5 +76,16 @@ def fix_covariance(
             for a in range(3):
                 out[i, j] += turn[a, i] * smooth[a] * turn[a, j]
                 for b in range(3):
-                    out[i, j] += factor * (1.0 - share) * turn[a, i] * epoch.cov[a, b] * turn[b, j]
+                    if tells:
+                        out[i, j] += factor * (1.0 - share) * turn[a, i] * epoch.cov[a, b] * turn[b, j]
     return out
+
+
+@kernel
+def _is_sound(cov: Matrix, filters_m2: float) -> bool:
+    """Return whether a covariance (3 x 3) is one, and not so much larger than the filter's that the epoch has hardly seen a direction."""
+    square = cov[0, 0] * cov[1, 1] - cov[0, 1] * cov[1, 0]
+    cube = cov[2, 2] * square - cov[1, 2] * (cov[0, 0] * cov[2, 1] - cov[0, 1] * cov[2, 0])
+    cube += cov[0, 2] * (cov[1, 0] * cov[2, 1] - cov[1, 1] * cov[2, 0])
+    largest_m2 = LARGEST_RATIO * filters_m2
+    return bool(cov[0, 0] > 0.0 and square > 0.0 and cube > 0.0 and cov[0, 0] + cov[1, 1] + cov[2, 2] < largest_m2)
