@@ -28,7 +28,7 @@ PRIOR_DOF: Final = 2.0  # what that is worth: less than an epoch
 MEMORY_DOF: Final = 500.0  # some tens of epochs; multipath changes within minutes (2000: galway_a_glw1 1.54 instead of 1.39)
 LEAST: Final = 0.005  # 0.4 mm per receiver at the zenith: no better phases exist
 MOST: Final = 4.0  # as the filter's own
-LARGEST_RATIO: Final = 25.0  # of an epoch's variance to the filter's: beyond, an epoch of few satellites sees hardly anything of one direction
+LARGEST_RATIO: Final = 25.0  # of an epoch's variance to the filter's: beyond, an epoch hardly sees one direction
 # How much of what a fix owes to earlier epochs, by ambiguities that are not held, counts: the filter takes multipath of successive epochs
 # for independent. 1: galway_a_glw1 2.1 and stromlo_l12 1.9; 0: simulated runs 0.69.
 FILTER_SHARE: Final = 0.4
