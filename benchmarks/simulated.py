@@ -79,7 +79,11 @@ class Setup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulated:
-    """The observations of a run and its truth; ``baseline_ecef_m`` (epochs, 3) is rover minus base as they truly were."""
+    """The observations of a run and its truth.
+
+    ``baseline_ecef_m`` (epochs, 3) is rover minus base: where the rover was when it measured or, of a moving base, both at the instant that
+    the rover's tag names, as solutions of moving bases are.
+    """
 
     setup: Setup
     seed: int
@@ -111,11 +115,15 @@ def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
     seen = [rover.observe(start + float(k)) for k in range(setup.epochs)]
     base = _base(setup, base_path, seed, start, windows if setup.base_moves else ())
     base_ecef_m = base_path.position_ecef_m(absolute_s(start))
-    moved = np.array([base_ecef_m if b is None or not setup.base_moves else b.position_ecef_m for b in base])
+    if setup.base_moves:
+        tags_s = [absolute_s(o.epoch.time) for o in seen]
+        baseline_ecef_m = np.array([rover_path.position_ecef_m(t) - base_path.position_ecef_m(t) for t in tags_s])
+    else:
+        baseline_ecef_m = np.array([o.position_ecef_m for o in seen]) - base_ecef_m
     present = [b for b in base if b is not None]
     on_rover, on_base = setup.faults(rng, seen, present) if setup.faults else ([], [])
     return Simulated(
-        setup, seed, start, site, seen, base, np.array([o.position_ecef_m for o in seen]) - moved, base_ecef_m,
+        setup, seed, start, site, seen, base, baseline_ecef_m, base_ecef_m,
         [disturbed(o.epoch, on_rover) for o in seen], [None if b is None else disturbed(b.epoch, on_base) for b in base],
         [*(("rover", d) for d in on_rover), *(("base", d) for d in on_base)],
     )  # fmt: skip
