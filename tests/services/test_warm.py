@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -61,7 +60,7 @@ def called_from_python() -> set[Name]:
     return called
 
 
-@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="nothing is compiled")
+@pytest.mark.slow  # which is not run without JIT: there is nothing to compile
 def test_every_kernel_that_python_calls_is_warm():
     for _, action in steps():
         action()
