@@ -157,6 +157,11 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     course: CourseTable | None = None
 
     @property
+    def length_sigma_m(self) -> float:
+        """One sigma of the known length: nothing right is outside its tolerance, which is five."""
+        return self.length_tolerance_m / 5.0
+
+    @property
     def sources(self) -> tuple[str, ...]:
         """The ids of all processes that it takes from."""
         own = (self.solver,) if self.solver else ()

@@ -1,7 +1,7 @@
 """The attitude process of several antennas on an in-memory bus: what it makes of its sources, also when some are missing or wrong."""
 
 from itertools import permutations
-from math import degrees, hypot, isnan, nan, radians, sin, sqrt
+from math import degrees, hypot, inf, isnan, nan, radians, sin, sqrt
 from typing import Any
 
 import msgspec
@@ -252,6 +252,7 @@ def test_a_receiver_that_tells_a_whole_attitude() -> None:
     assert angles_deg(whole) == pytest.approx([300.0, 3.0, -6.0], abs=1e-3)
     assert sigmas_deg(whole) == pytest.approx([0.3, 0.6, 0.9], rel=0.05)
     assert (whole.integrity, whole.finding, whole.reason) == ("ok", "no redundancy", "nothing tests it")
+    assert whole.protection_rad == (inf, inf, inf), "the receiver is one thing: nothing bounds what it says"
     assert angles_deg(line)[:2] == pytest.approx([300.0, 3.0], abs=1e-3)
     assert isnan(line.roll_rad)
     turned = Vehicle(solvers=(), antennas={}, headings={"a": ReceiverHeadingTable(mounting_deg=90.0)})

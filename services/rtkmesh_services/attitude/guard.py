@@ -42,6 +42,7 @@ class Guard:
         return self._judged(message, bounds, message.antennas_used if np.isinf(bounds.rad).any() else [])
 
     def _levels(self, found: BodyAttitude) -> Levels:
+        """Return the levels, without the second vectors of receivers that tell a whole attitude: these would seem to watch the first."""
         edges = [reading.edge for reading in found.readings if reading.edge is not None]
         if found.judged.fit is None or self._layout is None or not edges:
             return Levels(np.full(3, nan))

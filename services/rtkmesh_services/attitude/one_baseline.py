@@ -18,8 +18,6 @@ from rtkmesh_services.attitude.geometry import Chosen
 from rtkmesh_services.attitude.messages import angles_fields, rotation_fields
 from rtkmesh_services.attitude.readings import FIX, FLOAT, Reading, SourceKind, SourceSpec
 
-_TOLERANCE_SIGMAS = 5.0  # of the known length that its tolerance is: nothing right is outside
-
 
 def mounting_of(table: AttitudeTable) -> Mounting:
     """Return the engine's mounting of an attitude table."""
@@ -33,8 +31,7 @@ def body_of_length(table: AttitudeTable, spec: SourceSpec) -> Body | None:
     azimuth, elevation = radians(table.mounting_deg), radians(table.mounting_pitch_deg)
     level_m = table.length_m * cos(elevation)
     place = (level_m * cos(azimuth), level_m * sin(azimuth), -table.length_m * sin(elevation))
-    sigma_m = table.length_tolerance_m / _TOLERANCE_SIGMAS
-    start, end = AntennaPlaceTable(position_m=(0.0, 0.0, 0.0)), AntennaPlaceTable(position_m=place, sigma_m=sigma_m)
+    start, end = AntennaPlaceTable(position_m=(0.0, 0.0, 0.0)), AntennaPlaceTable(position_m=place, sigma_m=table.length_sigma_m)
     return Body(msgspec.structs.replace(table, antennas={spec.start: start, spec.end: end}), (spec,))
 
 
@@ -52,11 +49,10 @@ def chosen_solution(reading: Reading, chosen: Chosen | None) -> SolutionMessage:
 
 
 def chosen_message(
-    reading: Reading, chosen: Chosen | None, table: AttitudeTable, mounting: Mounting, identity: dict[str, Any]
+    reading: Reading, solution: SolutionMessage, chosen: Chosen | None, table: AttitudeTable, mounting: Mounting, identity: dict[str, Any]
 ) -> AttitudeMessage:
-    """Return the attitude of the solution that a reading is of, with the baseline that the known length chose."""
-    antennas = [reading.source.start, reading.source.end]
-    message = attitude_message(chosen_solution(reading, chosen), table, mounting, antennas, identity)
+    """Return the attitude of a ``chosen_solution``."""
+    message = attitude_message(solution, table, mounting, [reading.source.start, reading.source.end], identity)
     told = {} if chosen is None else {"geometry": chosen.verdict, "geometry_wrong_probability": chosen.wrong_probability}
     return msgspec.structs.replace(message, sources=dict.fromkeys(message.sources, reading.kind.value), **told)
 

@@ -182,8 +182,9 @@ class AttitudeService(Service):
         """Publish the attitude of a baseline of known length."""
         chosen = None if self._of_length is None else self._of_length.choice(epoch)
         [reading] = (epoch if chosen is None else chosen).readings.values()
-        message = chosen_message(reading, chosen, self._table, self._mounting, self._identity())
-        self._publish(self._guard.of_line(message, chosen_solution(reading, chosen)))
+        solution = chosen_solution(reading, chosen)
+        message = chosen_message(reading, solution, chosen, self._table, self._mounting, self._identity())
+        self._publish(self._guard.of_line(message, solution))
 
     def _publish(self, message: AttitudeMessage) -> None:
         self._last = message

@@ -8,7 +8,6 @@ from rtkmesh_schemas.config import Deployment
 from rtkmesh_schemas.config_attitude import AttitudeTable
 
 _LEAST_SIGMA_M = 0.005  # antennas' phase centres are no better than that
-_TOLERANCE_SIGMAS = 5.0
 
 Lengths = dict[tuple[str, str], tuple[float, float]]
 
@@ -25,4 +24,4 @@ def _known(table: AttitudeTable, deployment: Deployment) -> Iterator[tuple[tuple
         yield (start, end), (dist(one.position_m, other.position_m), sigma_m)
     solver = deployment.solver.get(table.solver)
     if solver is not None and table.length_m is not None:
-        yield (solver.base, solver.rover), (table.length_m, table.length_tolerance_m / _TOLERANCE_SIGMAS)
+        yield (solver.base, solver.rover), (table.length_m, table.length_sigma_m)
