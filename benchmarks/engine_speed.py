@@ -1,8 +1,8 @@
-"""CPU time per epoch of the engine on recordings (decoding left out), and of its stages.
+"""CPU time per epoch of the engine on recordings (decoding left out), and of its stages; then, on all recordings, beside RTKLIB's.
 
-Run it with ``python benchmarks/engine_speed.py [--data DIR]``.
+Run it with ``python benchmarks/engine_speed.py [--data DIR] [--only NAME,...]``; ``--only`` names recordings of the comparison.
 
-The first epochs (compilation, cold caches) are not counted. rnx2rtkp's figures for the same files are in the recordings' README.
+The first epochs (compilation, cold caches) are not counted.
 """
 
 import argparse
@@ -14,6 +14,10 @@ from unittest.mock import patch
 
 import numpy as np
 
+import kernel_cache  # noqa: F401  first of all
+import rtklib
+import solver_speed
+from cases import data_folder, load
 from rtkmesh.codecs.rinex_navigation import read_navigation
 from rtkmesh.codecs.rinex_observation import ObservationReader
 from rtkmesh.models.ephemeris_table import EphemerisTable
@@ -39,7 +43,7 @@ def seconds(time_):
     return time_.week * 604800.0 + time_.tow_s
 
 
-def load(folder, rover, base, nav):
+def read(folder, rover, base, nav):
     table = EphemerisTable()
     for ephemeris in read_navigation((folder / nav).read_bytes()).ephemerides:
         table.add(ephemeris)
@@ -84,13 +88,22 @@ def timed(function, spent):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
-    data = parser.parse_args().data
+    parser.add_argument("--data", type=Path, default=data_folder())
+    parser.add_argument("--only", help="recordings of the comparison, by name")
+    asked = parser.parse_args()
+    stages_of_cases(asked.data)
+    if not rtklib.missing():
+        print()
+        solver_speed.page(load(asked.data, asked.only and asked.only.split(",")), asked.data)
+
+
+def stages_of_cases(data):
+    """Print what an epoch costs, and its stages."""
     print("| case | epochs | satellites | ambiguities | fixed % | ms median | ms mean | ms p99 |")
     print("|---|---|---|---|---|---|---|---|")
     stages = {}
     for name, folder, rover, base, nav, base_ecef_m, systems, frequencies in CASES:
-        pairs, table = load(data / folder, rover, base, nav)
+        pairs, table = read(data / folder, rover, base, nav)
         ms, solutions, stages[name] = run(pairs, table, np.array(base_ecef_m), RtkOptions(systems=systems, frequencies=frequencies))
         fixed = np.mean([s.status is Status.FIX for s in solutions]) * 100.0
         used, known = (np.median([getattr(s, column) for s in solutions]) for column in ("satellites_used", "ambiguities"))

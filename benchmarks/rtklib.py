@@ -97,27 +97,40 @@ def solve(case: Case, folder: Path, out: Path, direction: str = "forward") -> Fi
 
     Backward, rnx2rtkp writes from the last epoch to the first; the file is put in order of time.
     """
-    rover, rover_navigation = _rinex(case.rover, case.date, folder)
-    base, base_navigation = _rinex(case.base, case.date, folder)
-    navigation = [*case.navigation, *base_navigation, *rover_navigation]
-    conf = folder / "rnx2rtkp.conf"
-    conf.write_text(options(case))
-    argv = ["rnx2rtkp", "-k", str(conf), *_DIRECTIONS[direction], "-o", str(out), str(rover), str(base), *map(str, navigation)]
-    done = run(argv)
+    done = run(command(case, rinex(case, folder), folder, out, *_DIRECTIONS[direction]))
     if direction == "backward":
         lines = out.read_text().splitlines(keepends=True)
         out.write_text("".join([line for line in lines if line[0] == "%"] + sorted(line for line in lines if line[0] != "%")))
     return done
 
 
-def options(case: Case) -> str:
-    """Return the options that the stored solution was made with, the frequencies under the name that b34 knows."""
+def command(case: Case, files: list[Path], folder: Path, out: Path, *flags: str) -> list[str]:
+    """Return the command that solves a case's RINEX files."""
+    conf = folder / "rnx2rtkp.conf"
+    conf.write_text(options(case))
+    return ["rnx2rtkp", "-k", str(conf), *flags, "-o", str(out), *map(str, files)]
+
+
+def stored_options(case: Case) -> Path:
+    """Return the file of the options that the stored solution was made with; frequencies have demo5's names."""
     stored = case.stored["b34"]
-    conf = stored.with_name(stored.name.removesuffix(".b34.pos") + ".conf").read_text()
-    text, count = re.subn(r"(?m)^(pos1-frequency\s*=).*$", rf"\g<1>{_FREQUENCIES[case.frequencies]}", conf)
+    return stored.with_name(stored.name.removesuffix(".b34.pos") + ".conf")
+
+
+def options(case: Case) -> str:
+    """Return the stored options, the frequencies under the name that b34 knows."""
+    conf = stored_options(case)
+    text, count = re.subn(r"(?m)^(pos1-frequency\s*=).*$", rf"\g<1>{_FREQUENCIES[case.frequencies]}", conf.read_text())
     if count != 1:
-        raise ProgramError(f"{stored.name}: its options do not name the frequencies")
+        raise ProgramError(f"{conf.name}: these options do not name the frequencies")
     return text
+
+
+def rinex(case: Case, folder: Path) -> list[Path]:
+    """Return a case as RINEX: rover, base, then navigation files."""
+    rover, rover_navigation = _rinex(case.rover, case.date, folder)
+    base, base_navigation = _rinex(case.base, case.date, folder)
+    return [rover, base, *case.navigation, *base_navigation, *rover_navigation]
 
 
 def plain_options(mode: str, systems: str, frequencies: int, ambiguities: str) -> str:
@@ -136,10 +149,7 @@ def moving_base(case: Case, systems: str, frequencies: int, ambiguities: str, le
     with tempfile.TemporaryDirectory() as folder:
         conf, out = Path(folder) / "moving.conf", Path(folder) / "moving.pos"
         conf.write_text(plain_options("movingbase", systems, frequencies, ambiguities) + "out-solformat=enu\n" + known)
-        rover, rover_navigation = _rinex(case.rover, case.date, Path(folder))
-        base, base_navigation = _rinex(case.base, case.date, Path(folder))
-        navigation = map(str, (*case.navigation, *base_navigation, *rover_navigation))
-        run(["rnx2rtkp", "-k", str(conf), "-o", str(out), str(rover), str(base), *navigation])
+        run(["rnx2rtkp", "-k", str(conf), "-o", str(out), *map(str, rinex(case, Path(folder)))])
         return read_track(out)
 
 
@@ -150,17 +160,21 @@ def converted(log: Path, folder: Path) -> tuple[Path, list[Path]]:
 
 def _rinex(recording: Path, date: str, folder: Path) -> tuple[Path, list[Path]]:
     """Return a recording as RINEX observations, and the navigation files that came out of it."""
-    plain = recording
+    file = plain(recording, folder)
+    return _converted(file, _FORMATS[file.suffix], date, folder) if file.suffix in _FORMATS else (file, [])
+
+
+def plain(recording: Path, folder: Path) -> Path:
+    """Return a recording without its compression, gzip's or Hatanaka's."""
     if recording.suffix == ".gz":
-        plain = folder / recording.stem
-        plain.write_bytes(gzip.decompress(recording.read_bytes()))
-    if plain.suffix in _FORMATS:
-        return _converted(plain, _FORMATS[plain.suffix], date, folder)
-    if re.fullmatch(r"\.\d\dd", plain.suffix):
-        observations = folder / (plain.stem + plain.suffix[:-1] + "o")
-        observations.write_bytes(hatanaka.decompress(plain.read_bytes()))
-        return observations, []
-    return plain, []
+        file = folder / recording.stem
+        file.write_bytes(gzip.decompress(recording.read_bytes()))
+        return file
+    if re.fullmatch(r"\.\d\dd", recording.suffix):
+        file = folder / (recording.stem + recording.suffix[:-1] + "o")
+        file.write_bytes(hatanaka.decompress(recording.read_bytes()))
+        return file
+    return recording
 
 
 def _converted(log: Path, form: str, date: str, folder: Path) -> tuple[Path, list[Path]]:

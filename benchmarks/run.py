@@ -64,7 +64,7 @@ BENCHMARKS = (
     Benchmark("endurance", "endurance.py", "A million updates of one filter", ("--quick",), recordings=False),
     Benchmark("decode", "decode_speed.py", "Decoders beside the Python parsers and convbin", ("--quick",), PARSERS),
     Benchmark("ingest", "ingest_load.py", "Four receivers at 20 Hz: what decoding and publishing cost", ("--quick",)),
-    Benchmark("engine", "engine_speed.py", "The engine's steps"),
+    Benchmark("engine", "engine_speed.py", "The engine's steps, and an epoch beside RTKLIB's", modules=("pyrtklib5",)),
     Benchmark("ntrip", "ntrip.py", "NTRIP client and caster beside str2str", ("--quick",), recordings=False),
     Benchmark("commands", "commands.py", "Answers to commands while everything works", ("--quick",), recordings=False),
     Benchmark("realtime", "realtime.py", "A running deployment beside rtkrcv", ("--only", "base 60 ms late,cold start", "--seconds", "8")),
