@@ -199,3 +199,18 @@ def test_replayed_rover_epochs_are_never_dropped() -> None:
     pairs = list(iter(lambda: pairing.next_pair(0.0), None))
     assert len(pairs) == 50
     assert all(b.rover.time > a.rover.time for a, b in pairwise(pairs))
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.floats(-3.0, 3.0), st.sampled_from([0.2, 1.0, 5.0])), min_size=55, max_size=140), st.floats(-2.0, 30.0))
+def test_what_is_known_of_the_base_equals_its_definitions(steps: list[tuple[float, float]], ahead_s: float) -> None:
+    """Cadence and end of waiting are kept up to date epoch by epoch: both equal what all epochs at hand say, however these came."""
+    pairing, at_s = Pairing(PairingOptions(replay=True)), 0.0
+    for back_s, step_s in steps:
+        at_s += step_s
+        pairing.add_base(epoch_at(at_s + (back_s if back_s > 2.5 else 0.0)), at_s)
+        gaps = [b.epoch.time - a.epoch.time for a, b in pairwise(pairing._bases[-21:])]
+        assert pairing._interval_s() == (min(gaps) if len(gaps) > 1 else -np.inf)
+    time = START + (at_s - ahead_s)
+    ends = [base.order for base in pairing._bases if pairing._ends_wait(base, time)]
+    assert pairing._cut(time) == min(ends, default=np.inf)

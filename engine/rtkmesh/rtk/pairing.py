@@ -12,7 +12,7 @@ A base epoch of the future is used in replay alone, and only where none of the p
 long gaps. An epoch that comes twice counts once, and rover epochs leave in rising time order.
 """
 
-from bisect import bisect_left, insort
+from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -90,6 +90,10 @@ class _Base:
         return self.epoch.time < other.epoch.time
 
 
+def _time_of(base: _Base) -> GpsTime:
+    return base.epoch.time
+
+
 @dataclass(slots=True)
 class Pairing:
     """The matching buffer of one solver. Mutable; holds epochs only."""
@@ -106,6 +110,8 @@ class Pairing:
     _first_rover_s: float = inf
     _reorder_wait_s: float = _FIRST_REORDER_WAIT_S
     _orderly: int = 0
+    _gaps_s: deque[float] = field(default_factory=lambda: deque[float](maxlen=_CADENCE_GAPS))  # the newest gaps between base epochs
+    _longest_s: float = -inf  # the slowest cadence that a base epoch came with
 
     def __len__(self) -> int:
         return len(self._rovers)
@@ -145,15 +151,29 @@ class Pairing:
         base = _Base(epoch, self._base_order, now_s)
         if self._bases and epoch.time < self._bases[-1].epoch.time:
             self._learn_reordering(base)
+            insort(self._bases, base)
+            self._count_gaps()
         else:
-            self._orderly += 1
-            if self._orderly >= _ORDERLY_EPOCHS:
-                self._reorder_wait_s = _ORDERLY_REORDER_WAIT_S
-        insort(self._bases, base)
+            self._follow_on(base)
         if self._orderly >= _ORDERLY_EPOCHS:
             base.interval_s = self._interval_s()
+            self._longest_s = max(self._longest_s, base.interval_s)
         if len(self._bases) > _KEPT_BASES and not self.options.replay:
             del self._bases[0]
+
+    def _follow_on(self, base: _Base) -> None:
+        """Take a base epoch that came in order."""
+        if self._bases:
+            self._gaps_s.append(base.epoch.time - self._bases[-1].epoch.time)
+        self._bases.append(base)
+        self._orderly += 1
+        if self._orderly >= _ORDERLY_EPOCHS:
+            self._reorder_wait_s = _ORDERLY_REORDER_WAIT_S
+
+    def _count_gaps(self) -> None:
+        """Count the newest gaps anew."""
+        self._gaps_s.clear()
+        self._gaps_s.extend(b.epoch.time - a.epoch.time for a, b in pairwise(self._bases[-_CADENCE_GAPS - 1 :]))
 
     @property
     def base_arrived_s(self) -> float:
@@ -167,6 +187,7 @@ class Pairing:
         """
         epochs = [base.epoch for base in self._bases]
         self._bases.clear()
+        self._gaps_s.clear()
         self._base_order, self._base_ended, self._orderly = 0, False, 0
         self._base_arrived_s, self._reorder_wait_s = -inf, _FIRST_REORDER_WAIT_S
         self._first_rover_s = -inf  # where no base follows nothing is waited for
@@ -207,6 +228,7 @@ class Pairing:
         """Forget all epochs (not what was learned of the streams)."""
         self._rovers.clear()
         self._bases.clear()
+        self._gaps_s.clear()
 
     def _decide(self, waiting: _Waiting, now_s: float) -> tuple[bool, Epoch | None]:
         """Return (whether waiting is over, base epoch)."""
@@ -256,12 +278,17 @@ class Pairing:
 
     def _interval_s(self) -> float:
         """Return the base's cadence: the smallest of its newest gaps; -inf while it is not known."""
-        gaps = [b.epoch.time - a.epoch.time for a, b in pairwise(self._bases[-_CADENCE_GAPS - 1 :])]
-        return min(gaps) if len(gaps) > 1 else -inf
+        return min(self._gaps_s) if len(self._gaps_s) > 1 else -inf
 
     def _cut(self, time: GpsTime) -> float:
         """Return the stream order of the first base epoch that ends the wait for ``time`` on the log's clock; inf if none yet."""
-        return min((base.order for base in reversed(self._bases) if self._ends_wait(base, time)), default=inf)
+        cut, from_s = inf, min(0.0, self.options.tolerance_s - self._longest_s)
+        for base in reversed(self._bases):
+            if base.epoch.time - time < from_s:
+                break
+            if self._ends_wait(base, time):
+                cut = min(cut, base.order)
+        return cut
 
     def _ends_wait(self, base: _Base, time: GpsTime) -> bool:
         """Replay: whether at this base epoch nothing was left to wait for: a function of the base's log up to it."""
@@ -308,7 +335,7 @@ class Pairing:
 
     def _forget(self, time: GpsTime) -> None:
         """Drop base epochs that no later rover epoch can use, but keep the newest of them and what the cadence needs."""
-        old = sum(1 for base in self._bases if base.epoch.time <= time)
+        old = bisect_right(self._bases, time, key=_time_of)
         surplus = min(old - 1, len(self._bases) - _CADENCE_GAPS - 1)
         if surplus > 0:
             del self._bases[:surplus]
