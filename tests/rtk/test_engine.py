@@ -196,6 +196,40 @@ def test_reasons(recording):
     assert engine.step(rover[0], base[0], EphemerisTable(), base_position_ecef_m=BASE).status is Status.NONE
 
 
+def test_a_prediction_far_off_the_single_point_is_not_believed(recording):
+    """A filter that is a kilometre off begins anew with the epoch, and the epoch's solution is the first one of a new engine."""
+    rover, base, ephemerides = recording
+    _, engine = run(rover[:5], base[:5], ephemerides)
+    engine._state.filter.x[0] += 1000.0
+    table = table_of(ephemerides)
+    solution = engine.step(rover[5], base[5], table, base_position_ecef_m=BASE)
+    assert solution.resets == 1
+    (first,), _ = run(rover[5:6], base[5:6], ephemerides)
+    assert solution.status is first.status is Status.FIX
+    assert np.linalg.norm(solution.position_ecef_m - TRUTH) < 0.05
+
+
+def test_a_gap_of_seconds_costs_the_motion_and_nothing_else(recording):
+    """Beyond what the motion model spans the single point takes over the position; the integers stay."""
+    rover, base, ephemerides = recording
+    kept = [0, 1, 2, 3, 4, 11]
+    solutions, _ = run([rover[k] for k in kept], [base[k] for k in kept], ephemerides)
+    assert solutions[-1].resets == 0
+    assert [s.status for s in solutions] == [Status.FIX] * len(kept)
+    assert solutions[-1].grade >= solutions[-2].grade
+    assert np.linalg.norm(solutions[-1].position_ecef_m - TRUTH) < 0.03
+
+
+def test_another_position_of_the_base_moves_the_rover_along(recording):
+    """Told that the base stands a metre elsewhere, the rover is a metre elsewhere too: the baseline stays, fixed at once."""
+    rover, base, ephemerides = recording
+    _, engine = run(rover[:5], base[:5], ephemerides)
+    move_m = np.array((0.6, -0.3, 0.2))
+    solution = engine.step(rover[5], base[5], table_of(ephemerides), base_position_ecef_m=BASE + move_m)
+    assert solution.resets == 0
+    assert np.linalg.norm(solution.position_ecef_m - TRUTH - move_m) < 0.5
+
+
 def test_a_base_that_stands_still_in_time(recording):
     """With base epochs up to ten seconds old the fix holds and the age is told."""
     rover, base, ephemerides = recording

@@ -14,9 +14,11 @@ from rtkmesh.rtk.filter import (
     PLACES,
     W,
     Y,
+    factor,
     merge_keys,
     normal_equations,
     posterior,
+    posterior_of,
     predict_motion,
     rearrange,
     reset_state,
@@ -161,3 +163,18 @@ def test_covariance_stays_positive_definite_over_a_long_run():
         P = P_new
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P)[0] > 0.0
+
+
+def test_one_factor_of_the_prior_serves_several_adjustments():
+    """Weights change between the adjustments of an update, the prior does not: its factor, copied, gives the same bits as a new one."""
+    P, observations, places, groups = random_case(np.random.default_rng(7))
+    n, U = len(P), np.empty(P.shape)
+    assert factor(P, U) == OK
+    for weight in (1.0, 0.3, 0.0):
+        observations[:4, W] = weight
+        status, N, mean, P_new, dx = adjust(P, observations, places, groups)
+        b, mean, P_again, dx_again = np.empty(n), np.empty((groups, n + 2)), np.empty((n, n)), np.empty(n)
+        normal_equations(observations, places, DYNAMIC, groups, N, b, mean)
+        assert posterior_of(U.copy(), N, b, P_again, dx_again) == status == OK
+        assert np.array_equal(P_new, P_again)
+        assert np.array_equal(dx, dx_again)

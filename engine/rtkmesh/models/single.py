@@ -137,15 +137,13 @@ def single_point(
     work, states, geometry = found.work, found.states, found.geometry
     used = work[:, USED] != 0.0
     seen = (states[:, STATE_OK] != 0.0) & (geometry[:, ELEVATION] >= options.elevation_mask_rad)
-    clock_s = np.empty(len(SYSTEMS))
-    receiver_clock_s = clocks_by_system(work, found.clocks_m, clock_s)
     return SinglePoint(
         time=epoch.time,
         status=SingleStatus.OK,
         position_ecef_m=found.position_ecef_m,
         position_cov_ecef_m2=found.covariance_m2,
-        receiver_clock_s=receiver_clock_s,
-        clock_s=clock_s,
+        receiver_clock_s=found.clock_s,
+        clock_s=found.clocks_s,
         velocity_ecef_mps=found.velocity_mps[:3],
         velocity_cov_ecef_m2ps2=found.velocity_cov_m2ps2,
         clock_rate=float(found.velocity_mps[3]) / SPEED_OF_LIGHT_MPS,
@@ -184,15 +182,15 @@ class Located(NamedTuple):
     """What ``locate`` found; unknown is NaN. ``status`` is of SingleStatus, CONVERGED with a position.
 
     One row per satellite with a code: ``satellites`` (sorted), ephemeris ``rows``, ``states``, ``geometry``, ``work``. ``velocity_mps``
-    has the clock's rate as fourth; ``clock_s`` is the receiver clock of the first system in use, GPS first; ``quality`` is chi-square,
-    degrees of freedom, PDOP.
+    has the clock's rate as fourth; ``clock_s`` is the receiver clock of the first system in use, GPS first, ``clocks_s`` the receiver clock
+    minus the time of each system, in the order of ``SYSTEMS``; ``quality`` is chi-square, degrees of freedom, PDOP.
     """
 
     status: int
     position_ecef_m: Vector
     covariance_m2: Matrix
     clock_s: float
-    clocks_m: Vector
+    clocks_s: Vector
     velocity_mps: Vector
     velocity_cov_m2ps2: Matrix
     quality: Vector
@@ -236,9 +234,11 @@ def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Ve
     elif adjust_velocity(work, states, geometry, setup.adjustment, position, velocity, rate_cofactor) != CONVERGED:
         velocity[:], rate_cofactor[:, :] = np.nan, np.nan
     scale = max(1.0, quality[0] / quality[1]) if quality[1] > 0.0 else 1.0
-    clock_s = clocks_by_system(work, clocks_m, np.empty(len(CLOCK_OF_SYSTEM))) if status == CONVERGED else np.nan
+    clock_s, clocks_s = np.nan, np.full(len(CLOCK_OF_SYSTEM), np.nan)
+    if status == CONVERGED:
+        clock_s = clocks_by_system(work, clocks_m, clocks_s)
     return Located(
-        status, position, scale * cofactor[:3, :3], clock_s, clocks_m, velocity, rate_cofactor[:3, :3].copy(), quality, satellites, rows,
+        status, position, scale * cofactor[:3, :3], clock_s, clocks_s, velocity, rate_cofactor[:3, :3].copy(), quality, satellites, rows,
         states, geometry, work,
     )  # fmt: skip
 

@@ -27,7 +27,7 @@ def complemented(rover: Epoch, base: Epoch, earlier: Iterable[Epoch]) -> list[Ep
     """Return the base epoch and, from ``earlier`` ones, newest first, the systems that it lacks and the rover has."""
     parts = [base]
     missing = systems_of(rover.satellite) & ~systems_of(base.satellite)
-    for other in earlier:
+    for other in earlier if missing else ():
         if found := missing & systems_of(other.satellite):
             parts.append(other.take((found >> (other.satellite // SATELLITES_PER_SYSTEM)) & 1 != 0))
             missing &= ~found

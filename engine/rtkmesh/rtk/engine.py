@@ -9,37 +9,38 @@ that velocities on it have the other sign; models see the time of the epochs the
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import reduce
-from math import isfinite, nan, sqrt
-from typing import Final, NamedTuple
+from math import isfinite, nan
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.ephemeris import GlonassBias, KlobucharParameters
-from rtkmesh.gnss.epoch import Epoch, Signals
+from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
-from rtkmesh.models.common_instant import base_move_ecef_m, moved_base
-from rtkmesh.models.ephemeris_table import EphemerisTable, Issues
+from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.models.odds import SURENESS
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
-from rtkmesh.rtk.bookkeeping import Motion, advance, seed
+from rtkmesh.rtk.around import Around, Past, at_instant_of
+from rtkmesh.rtk.bookkeeping import Motion, seed
 from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.informed import INFORMED_FROM_M
 from rtkmesh.rtk.integrity import sureness
-from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, forget, new_memory
+from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
 from rtkmesh.rtk.overview import Overview, overview_of
-from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Solved, differences_of, solve, solve_pair, walks_of
-from rtkmesh.rtk.report import IS_FIXED, ODDS, Circumstances, from_single, report
+from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Solved, differences_of, solve
+from rtkmesh.rtk.report import FIGURES, IS_FIXED, ODDS, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.setup import setup_of
 from rtkmesh.rtk.solution import Reason, SatelliteTable, Solution
-from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, FilterState, length_m, new_filter, trace
+from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, FilterState, length_m
+from rtkmesh.rtk.step import ASTRAY, Step, move_on, take_step
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -50,28 +51,9 @@ _FORGET_S: Final = 65.0  # beyond this gap nothing is left
 _CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
 _ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
 _ABSURD_EPOCHS: Final = 3
-_FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
 _ANEW: Final = (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.STATIC, Mode.STATIC_START)  # where an epoch may be solved without its past as well
 _NOWHERE: Final = np.full(3, nan)
 _UNKNOWN: Final = np.full((3, 3), nan)
-
-
-class Past(NamedTuple):
-    """What an engine has learned beside its filter, as ``relative.Known`` has it; all is written to."""
-
-    memory: Vector
-    prediction: Vector
-    scale: Matrix
-    informed_scale: Matrix
-
-    def copy(self) -> "Past":
-        """Return a past of its own."""
-        return Past(*(part.copy() for part in self))
-
-    def forget(self) -> None:
-        """Forget integers and predictions; what was learned of the receivers stays."""
-        self.prediction[:] = nan
-        forget(self.memory)
 
 
 def _motion_of(options: RtkOptions) -> Motion:
@@ -196,17 +178,15 @@ class Rtk:
         if base is not None and self.options.mode is Mode.MOVING_BASE:
             base_single = locate(base.signals, issues, self._point, _NOWHERE if base_position_ecef_m is None else base_position_ecef_m)
             base_position_ecef_m = base_single.position_ecef_m if base_single.status == CONVERGED else None
-            base = _at_instant_of(rover, single, base, base_single, issues)
+            base = at_instant_of(rover, single, base, base_single, issues)
         reason = self._obstacle(rover, base, base_position_ecef_m)
         if reason is not Reason.OK or base is None or base_position_ecef_m is None:
             return replace(from_single(rover, base, single), reason=reason)
-        state = self._seeded(rover, single, base_position_ecef_m)
-        if state is None:
-            return from_single(rover, base, single)
         bases = [base]
         if self.options.mode is not Mode.MOVING_BASE:
             bases = complemented(rover, base, self._bases.before(base) if earlier_bases is None else earlier_bases)
-        return self._doubted(self._relative(state, rover, bases, issues, (single, base_single)))
+        around = Around(rover, bases, issues, (single, base_single), base_position_ecef_m)
+        return self._doubted(self._relative(around))
 
     def _doubted(self, solution: Solution) -> Solution:
         """Begin anew when the codes contradict the phases' position beyond all multipath, epoch after epoch."""
@@ -233,7 +213,7 @@ class Rtk:
         limit = self.options.time_tolerance_s if self.options.mode is Mode.MOVING_BASE else self.options.max_age_s
         if abs(rover.time - base.time) > limit:
             return Reason.BASE_TOO_OLD
-        if base_position_ecef_m is None or not isfinite(base_position_ecef_m.sum()):
+        if base_position_ecef_m is None or not all(map(isfinite, base_position_ecef_m.tolist())):
             return Reason.NO_BASE_POSITION
         return Reason.OK
 
@@ -244,102 +224,106 @@ class Rtk:
             return self._was_fixed or self.direction is Direction.BACKWARD
         return self.options.mode in (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.DGPS)
 
-    def _seeded(self, rover: Epoch, single: Located, base_ecef_m: Vector) -> FilterState | None:
-        """Return the state at the rover's epoch: moved on, or begun anew; None if there is nothing to begin with."""
-        state = self._state
-        if state is not None:
-            dt = self._clock_s(state, rover.time) - state.time_s
-            if not 0.0 <= dt <= _FORGET_S or not self._advance(state, dt, single) or self._astray(state, single):
-                self.reset()
-        state = self._state
-        if state is None:
-            if single.status != CONVERGED and self.options.mode is not Mode.FIXED:
-                return None
-            state = self._state = self._begun(rover, single, base_ecef_m)
-        shift = base_ecef_m - state.base_ecef_m
-        if shift.any():
-            if self.options.mode is not Mode.MOVING_BASE and not self._keeps_baseline:
-                state.filter.x[:3] -= shift
-                state.informed.x[:3] -= shift
-            state.base_ecef_m = base_ecef_m.copy()
-            state.base_s = nan
-        self._keeps_baseline = False
-        return state
+    def _step_of(self, state: FilterState, around: Around) -> Step | None:
+        """Return how the filters reach an epoch, None where they cannot; the state's clock and base are the epoch's then."""
+        dt = self._clock_s(state, around.rover.time) - state.time_s
+        if not 0.0 <= dt <= _FORGET_S:
+            return None
+        mode, base_ecef_m, single, moves = self.options.mode, state.base_ecef_m, around.singles[0], self._moves
+        reseeds = moves and dt > _RESEED_S and single.status == CONVERGED
+        baseline_m = length_m(single.position_ecef_m - base_ecef_m) if reseeds else state.baseline_m
+        moved = around.base_ecef_m.tolist() != base_ecef_m.tolist()
+        if moved:
+            state.base_ecef_m, state.base_s = around.base_ecef_m.copy(), nan
+        state.time_s += dt
+        shifts = moved and mode is not Mode.MOVING_BASE and not self._keeps_baseline
+        return Step(dt, base_ecef_m, baseline_m, moves, reseeds, shifts, mode is not Mode.FIXED, self._motion)
 
-    def _begun(self, rover: Epoch, single: Located, base_ecef_m: Vector) -> FilterState:
+    def _begun(self, around: Around) -> FilterState:
         """Return the state of a filter that begins with this epoch."""
-        state = FilterState(rover.time, base_ecef_m=base_ecef_m.copy())
-        self._seed(state, single)
+        state = FilterState(around.rover.time, base_ecef_m=around.base_ecef_m.copy())
+        fixed = self.options.fixed_position_ecef_m if self.options.mode is Mode.FIXED else None
+        start = around.singles[0].position_ecef_m if fixed is None else np.array(fixed)
+        sigmas = SEED_MOVING if self._moves else SEED_STANDING
+        for one in (state.filter, state.informed):
+            seed(one, start - state.base_ecef_m, sigmas if fixed is None else SEED_FIXED)
         return state
 
     def _clock_s(self, state: FilterState, time: GpsTime) -> float:
         """Return an instant on the filter's clock."""
         return self._sense * (time - state.origin)
 
-    def _seed(self, state: FilterState, single: Located) -> None:
-        """Begin the dynamic states anew from the single-point position; the keyed states stay."""
-        fixed = self.options.fixed_position_ecef_m if self.options.mode is Mode.FIXED else None
-        start = single.position_ecef_m if fixed is None else np.array(fixed)
-        sigmas = SEED_MOVING if self._moves else SEED_STANDING
-        for one in (state.filter, state.informed):
-            seed(one, start - state.base_ecef_m, sigmas if fixed is None else SEED_FIXED)
-
-    def _advance(self, state: FilterState, dt: float, single: Located) -> bool:
-        """Move the state on by ``dt`` seconds; return whether it is still finite."""
-        state.time_s += dt
-        moves = self._moves
-        if moves and dt > _RESEED_S and single.status == CONVERGED:
-            self._seed(state, single)
-            moves = False
-        walks = walks_of(self._setup, state.baseline_m, self._past.memory)
-        if len(state.informed.keys) and not advance(state.informed, dt, moves, self._motion, state.base_ecef_m, walks, SEED_MOVING):
-            state.informed = new_filter()
-        return advance(state.filter, dt, moves, self._motion, state.base_ecef_m, walks, SEED_MOVING)
-
-    def _astray(self, state: FilterState, single: Located) -> bool:
-        if single.status != CONVERGED or self.options.mode is Mode.FIXED:
-            return False
-        gap_m = length_m(state.rover_ecef_m - single.position_ecef_m)
-        return gap_m > _FAR_M + 5.0 * sqrt(trace(single.covariance_m2))
-
     # --- one relative solution ---
 
-    def _relative(
-        self, state: FilterState, rover: Epoch, bases: list[Epoch], issues: Issues, singles: tuple[Located, Located | None]
-    ) -> Solution:
-        base, single, age_s = bases[0], singles[0], rover.time - bases[0].time
-        solved = self._solved(state, self._past, rover, bases, issues, singles)
+    def _relative(self, around: Around) -> Solution:
+        rover, base, single = around.rover, around.bases[0], around.singles[0]
+        solved = self._solved_from_past(around) or self._solved_from_here(around)
+        state, age_s = self._state, rover.time - base.time
+        if state is None or solved is None:
+            return from_single(rover, base, single)
         if solved.status == SOLVED and not solved.figures[IS_FIXED] and self._may_begin_anew(state, single):
-            solved = self._anew(state, rover, bases, issues, singles) or solved
-        around = Circumstances(age_s, self._moves, self._sense, singles[1], self._resets, self.options)
+            solved = self._anew(state, around) or solved
         if solved.status == FEW_COMMON:
             return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         if solved.status == NOT_FINITE:
             self.reset()
             return replace(from_single(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
-        solution = report(rover, base, single, state.base_ecef_m, solved, around)
+        circumstances = Circumstances(age_s, self._moves, self._sense, around.singles[1], self._resets, self.options)
+        solution = report(rover, base, single, around.base_ecef_m, solved, circumstances)
         self._satellites = solution.satellites
         return solution
 
-    def _solved(
-        self, state: FilterState, past: Past, rover: Epoch, bases: list[Epoch], issues: Issues, singles: tuple[Located, Located | None]
-    ) -> Solved:
+    def _solved_from_past(self, around: Around) -> Solved | None:
+        """Return the relative solution of filters that are moved on to the epoch; None where there are none, or they must begin anew."""
+        if self._state is None:
+            return None
+        step = self._step_of(self._state, around)
+        solved = None if step is None else self._solved(self._state, self._past, around, step)
+        if solved is None or solved.status == ASTRAY:
+            self.reset()
+            return None
+        self._keeps_baseline = False
+        return solved
+
+    def _solved_from_here(self, around: Around) -> Solved | None:
+        """Return the relative solution of filters that begin with the epoch; None if there is nothing to begin with."""
+        if around.singles[0].status != CONVERGED and self.options.mode is not Mode.FIXED:
+            return None
+        self._state, self._keeps_baseline = self._begun(around), False
+        return self._solved(self._state, self._past, around, self._beginning(around))
+
+    def _beginning(self, around: Around) -> Step:
+        """Return the step of filters that begin with the epoch."""
+        return Step(nan, around.base_ecef_m, nan, self._moves, False, False, False, self._motion)
+
+    def _solved(self, state: FilterState, past: Past, around: Around, step: Step) -> Solved:
         """Return the relative solution of an epoch, and let state and past be what came of it."""
-        base, single, model_ecef_m = bases[0], singles[0], state.rover_ecef_m
-        base_s = self._clock_s(state, base.time)
+        base, single, signals = around.bases[0], around.singles[0], around.rover.signals
+        base_s, channel, klobuchar = self._clock_s(state, base.time), around.issues.channel, self._point.klobuchar
         known = Known(
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
-            past.memory, past.scale, *self._velocity(singles), past.informed_scale,
+            past.memory, past.scale, *self._velocity(around.singles), past.informed_scale,
         )  # fmt: skip
-        klobuchar, channel, signals = self._point.klobuchar, issues.channel, rover.signals
-        if len(bases) == 1:
-            solved = solve_pair(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, known, self._setup)
+        if len(around.bases) == 1:
+            solved = take_step(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, step, known, self._setup)
         else:
-            solved = solve(state.filter, state.informed, self._combined(state, signals, bases, single, channel), known, self._setup)
-        if solved.status == SOLVED:
+            solved = self._solved_with_several(state, around, step, known)
+        if solved.status in (SOLVED, FEW_COMMON):
             state.filter, state.informed = solved.filter, solved.informed
-            state.rover_s, state.base_s, state.rover_model_ecef_m = state.time_s, base_s, model_ecef_m
+        if solved.status == SOLVED:
+            state.rover_s, state.base_s = state.time_s, base_s
+        return solved
+
+    def _solved_with_several(self, state: FilterState, around: Around, step: Step, known: Known) -> Solved:
+        """Return the relative solution with several base epochs that share no system."""
+        informed, moved = move_on(state.filter, state.informed, around.singles[0], step, known, self._setup)
+        if not moved:
+            return Solved(ASTRAY, state.filter, informed, state.filter.x, state.filter.P, np.zeros(FIGURES), np.zeros((0, 0)), _UNKNOWN)
+        model_ecef_m = state.rover_ecef_m
+        solved = solve(state.filter, informed, self._combined(state, around), known, self._setup)
+        if solved.status == SOLVED:
+            state.rover_model_ecef_m[:] = model_ecef_m
         return solved
 
     def _may_begin_anew(self, state: FilterState, single: Located) -> bool:
@@ -347,16 +331,14 @@ class Rtk:
         remembers = self.options.ambiguity.mode in (AmbiguityMode.CONTINUOUS, AmbiguityMode.FIX_AND_HOLD) and state.time_s > 0.0
         return remembers and single.status == CONVERGED and self.options.mode in _ANEW and state.baseline_m < INFORMED_FROM_M
 
-    def _anew(
-        self, state: FilterState, rover: Epoch, bases: list[Epoch], issues: Issues, singles: tuple[Located, Located | None]
-    ) -> Solved | None:
+    def _anew(self, state: FilterState, around: Around) -> Solved | None:
         """Solve an epoch without its past, and go on from there if its own codes and phases say clearly where it is; else None.
 
         After a bridge, or codes that were bad for a while, the past may be what keeps the integers from being found.
         """
-        begun, past = self._begun(rover, singles[0], state.base_ecef_m), self._past.copy()
+        begun, past = self._begun(around), self._past.copy()
         past.forget()
-        solved = self._solved(begun, past, rover, bases, issues, singles)
+        solved = self._solved(begun, past, around, self._beginning(around))
         clear = ACCEPT_AT_ONCE * sureness(state.baseline_m) / SURENESS
         if solved.status != SOLVED or not solved.figures[IS_FIXED] or solved.figures[ODDS] < clear:
             return None
@@ -364,14 +346,14 @@ class Rtk:
         self._past.memory[:], self._past.prediction[:] = past.memory, past.prediction
         return solved
 
-    def _combined(self, state: FilterState, rover: Signals, bases: list[Epoch], single: Located, channel: NDArray[np.int8]) -> Differences:
+    def _combined(self, state: FilterState, around: Around) -> Differences:
         """Form the single differences with several base epochs that share no system."""
         made = (
             differences_of(
-                state.filter, rover, part.signals, single, channel, self._point.klobuchar, state.base_ecef_m,
-                np.array((state.time_s, self._clock_s(state, part.time))), self._setup,
+                state.filter, around.rover.signals, part.signals, around.singles[0], around.issues.channel, self._point.klobuchar,
+                state.base_ecef_m, np.array((state.time_s, self._clock_s(state, part.time))), self._setup,
             )
-            for part in bases
+            for part in around.bases
         )  # fmt: skip
         return reduce(combine, made)
 
@@ -385,12 +367,3 @@ class Rtk:
         if base is None:
             return _NOWHERE, _UNKNOWN
         return self._sense * (rover.velocity_mps - base.velocity_mps), rover.velocity_cov_m2ps2 + base.velocity_cov_m2ps2
-
-
-def _at_instant_of(rover: Epoch, single: Located, base: Epoch, base_single: Located, issues: Issues) -> Epoch:
-    """Return the epoch of a moving base as if it had been measured, like the rover's, at the instant that the rover's tag names."""
-    move_ecef_m = base_move_ecef_m(single, base_single, rover.time - base.time)
-    if not move_ecef_m.any():
-        return base
-    codes_m, phases_cyc = moved_base(base.signals, base_single, issues.channel, move_ecef_m)
-    return replace(base, pseudorange_m=codes_m, phase_cyc=phases_cyc)

@@ -246,10 +246,17 @@ def posterior(P: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int
 
     With P = U'U, M = I + U N U' = F'F (F lower triangular) and V = F^-T U (upper triangular), P_new = V'V.
     """
-    n = len(b)
-    U, F, minus = np.empty((n, n)), np.empty((n, n)), np.empty(n)
+    U = np.empty(P.shape)
     if factor(P, U) != OK:
         return NOT_POSITIVE_DEFINITE
+    return posterior_of(U, N, b, P_new, dx)
+
+
+@kernel
+def posterior_of(U: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int:
+    """Write P_new and dx as ``posterior`` does, for P = U'U; U (written to) becomes V."""
+    n = len(b)
+    F, minus = np.empty((n, n)), np.empty(n)
     _inner(U, N, F)
     for k in range(n - 1, -1, -1):
         row = F[k, : k + 1]

@@ -1,6 +1,6 @@
 """The solution of an epoch, from what the steps of the engine left behind."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Epoch
-from rtkmesh.gnss.signals import SYSTEMS
-from rtkmesh.models.code_selection import USED, clocks_by_system
+from rtkmesh.models.code_selection import USED
 from rtkmesh.models.single import Located, SingleStatus
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.integrity import Guard
@@ -73,6 +72,8 @@ _REASONS: Final = {
     ODDS, WRONG, PROTECTION_H_M, PROTECTION_V_M, RESIDUAL_TEST, FLOAT_TEST, CODE_TEST,
 ) = range(20)  # fmt: skip
 FIGURES: Final = 20
+_NO_SATELLITES: Final = np.zeros(0, np.int64)
+_NO_DELAYS: Final = np.zeros(0)
 
 
 def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
@@ -88,7 +89,7 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
         velocity_cov_ecef_m2ps2=single.velocity_cov_m2ps2,
         single_position_ecef_m=single.position_ecef_m,
         receiver_clock_s=single.clock_s,
-        clocks_s=_clocks_s(single),
+        clocks_s=single.clocks_s,
         satellites_used=int(np.count_nonzero(single.work[:, USED])) if ok else 0,
         satellites_rover=count_runs(rover.satellite),
         satellites_base=0 if base is None else count_runs(base.satellite),
@@ -115,7 +116,7 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
     x, P, numbers = solved.x, solved.P, solved.figures.tolist()
     status = Status.FIX if numbers[IS_FIXED] else (Status.FLOAT if numbers[PHASES] >= 4 else Status.DGPS)
     covariance = solved.position_cov_m2[:3, :3].copy()
-    motion = _motion(single, x, P, around)
+    velocity_mps, velocity_cov_m2ps2, acceleration_mps2, acceleration_cov_m2ps4 = _motion(single, x, P, around)
     integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
     return Solution(
         time=rover.time,
@@ -123,16 +124,16 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
         reason=Reason(int(numbers[REASON])),
         position_ecef_m=base_ecef_m + x[:3],
         position_cov_ecef_m2=covariance if around.base_single is None else covariance + around.base_single.covariance_m2,
-        velocity_ecef_mps=motion.velocity_mps,
-        velocity_cov_ecef_m2ps2=motion.velocity_cov_m2ps2,
-        acceleration_ecef_mps2=motion.acceleration_mps2,
-        acceleration_cov_ecef_m2ps4=motion.acceleration_cov_m2ps4,
+        velocity_ecef_mps=velocity_mps,
+        velocity_cov_ecef_m2ps2=velocity_cov_m2ps2,
+        acceleration_ecef_mps2=acceleration_mps2,
+        acceleration_cov_ecef_m2ps4=acceleration_cov_m2ps4,
         base_ecef_m=base_ecef_m.copy(),
         baseline_ecef_m=x[:3].copy(),
         baseline_cov_ecef_m2=covariance,
         single_position_ecef_m=single.position_ecef_m,
         receiver_clock_s=single.clock_s,
-        clocks_s=_clocks_s(single),
+        clocks_s=single.clocks_s,
         age_s=around.age_s,
         ratio=numbers[RATIO],
         ratio_threshold=numbers[THRESHOLD],
@@ -157,49 +158,34 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
     )
 
 
-def _clocks_s(single: Located) -> Vector:
-    """Return receiver clock minus system time of each system, NaN where none of its satellites was used."""
-    clocks_s = np.full(len(SYSTEMS), nan)
-    if single.status == CONVERGED:
-        clocks_by_system(single.work, single.clocks_m, clocks_s)
-    return clocks_s
-
-
 def _float_state(solved: "Solved", base_ecef_m: Vector, around: Circumstances) -> FloatState:
     """Return what the filters know beside the integers; the atmosphere of the informed one where there is one."""
     x = solved.filter.x
     atmosphere = solved.informed if len(solved.informed.keys) else solved.filter
-    count = int(np.searchsorted(atmosphere.keys, FIRST_PAIR_KEY))
-    delays = dict(zip(atmosphere.keys[:count].tolist(), atmosphere.x[DYNAMIC : DYNAMIC + count].tolist(), strict=True))
-    zenith_m, slope_m = delays.pop(ZENITH_KEY, nan), delays.pop(SLOPE_KEY, nan)
+    count = int(atmosphere.keys.searchsorted(FIRST_PAIR_KEY))
+    zenith_m, slope_m, satellites, ionosphere_m = nan, nan, _NO_SATELLITES, _NO_DELAYS
+    if count:
+        delays = dict(zip(atmosphere.keys[:count].tolist(), atmosphere.x[DYNAMIC : DYNAMIC + count].tolist(), strict=True))
+        zenith_m, slope_m = delays.pop(ZENITH_KEY, nan), delays.pop(SLOPE_KEY, nan)
+        satellites, ionosphere_m = np.array(list(delays), np.int64), np.array(list(delays.values()), np.float64)
     moving = (around.sense * x[3:6], x[6:9].copy()) if around.moves else (np.full(3, nan), np.full(3, nan))
-    satellites, ionosphere_m = np.array(list(delays), np.int64), np.array(list(delays.values()), np.float64)
     return FloatState(base_ecef_m + x[:3], *moving, zenith_m, slope_m, satellites, ionosphere_m)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Motion:
-    """Velocity and acceleration (ECEF) with their covariances, NaN where not known."""
-
-    velocity_mps: Vector
-    velocity_cov_m2ps2: Matrix
-    acceleration_mps2: Vector = field(default_factory=lambda: np.full(3, nan))
-    acceleration_cov_m2ps4: Matrix = field(default_factory=lambda: np.full((3, 3), nan))
-
-
-def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> _Motion:
-    """Return velocity and acceleration of the filter; of a moving base its own velocity is added, but the acceleration is the baseline's.
+def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tuple[Vector, Matrix, Vector, Matrix]:
+    """Return velocity and its covariance, acceleration and its covariance (ECEF, NaN where not known) of the filter; of a moving base its
+    own velocity is added, but the acceleration is the baseline's.
 
     Where nothing moves the velocity is the single-point one.
     """
     if not around.moves:
-        return _Motion(single.velocity_mps[:3], single.velocity_cov_m2ps2)
+        return single.velocity_mps[:3], single.velocity_cov_m2ps2, np.full(3, nan), np.full((3, 3), nan)
     velocity, covariance = around.sense * x[3:6], P[3:6, 3:6].copy()
     base = around.base_single
     if base is not None and isfinite(base.velocity_mps[0]):
         velocity += base.velocity_mps[:3]
         covariance += base.velocity_cov_m2ps2
-    return _Motion(velocity, covariance, x[6:9].copy(), P[6:9, 6:9].copy())
+    return velocity, covariance, x[6:9].copy(), P[6:9, 6:9].copy()
 
 
 @kernel

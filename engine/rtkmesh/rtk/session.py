@@ -273,6 +273,8 @@ class Session:
         """Take over the navigation data that count for this pair: earlier in the rover's stream, earlier in time in others."""
         while self._rover_pending and self._rover_pending[0][0] < pair.order:
             self._take(Source.ROVER, self._rover_pending.popleft()[1])
+        if not self._other_pending:
+            return
         newest = pair.rover.time if pair.base is None else max(pair.rover.time, pair.base.time)
         limit = newest + -self.options.pairing.tolerance_s
         while self._other_pending and ((after := self._other_pending[0][0]) is None or after < limit):

@@ -119,7 +119,8 @@ class FilterState:
     def for_other_base(self, sigma_m: float) -> "FilterState":
         """Return a state of its own that keeps what does not depend on the base; ``sigma_m`` is added to that of the position."""
         rover = of_the_rover(self.filter, sigma_m)
-        return replace(self, filter=rover, informed=of_the_rover(self.filter, sigma_m), base_ecef_m=self.base_ecef_m.copy(), base_s=nan)
+        informed, base_ecef_m, model_ecef_m = of_the_rover(self.filter, sigma_m), self.base_ecef_m.copy(), self.rover_model_ecef_m.copy()
+        return replace(self, filter=rover, informed=informed, base_ecef_m=base_ecef_m, rover_model_ecef_m=model_ecef_m, base_s=nan)
 
     @property
     def rover_ecef_m(self) -> Vector:

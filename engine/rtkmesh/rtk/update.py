@@ -22,8 +22,9 @@ from rtkmesh.rtk.filter import (
     PLACES,
     W,
     Y,
+    factor,
     normal_equations,
-    posterior,
+    posterior_of,
     residuals,
 )  # fmt: skip
 from rtkmesh.rtk.noise import DOF, SQUARES, code_factors, learn_codes, phase_factor
@@ -65,10 +66,14 @@ class Layout(NamedTuple):
 
 
 class Work(NamedTuple):
-    """The arrays of one update: observations and their places, normal equations, posterior, residuals."""
+    """The arrays of one update: observations and their places, the factor U of the prior covariance (it serves every adjustment) and room
+    for what one makes of it, normal equations, posterior, residuals.
+    """
 
     observations: Matrix
     places: Indices
+    U: Matrix
+    V: Matrix
     N: Matrix
     b: Vector
     mean: Matrix
@@ -83,16 +88,17 @@ def update(f: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mp
     """Update the filter, in place, by the differences and a velocity (NaN: none); learn the code's noise (``scale``)."""
     n, states, systems = len(d.pairs.satellite), len(f.x), scale.shape[1]
     work = Work(
-        np.empty((2 * n, OBSERVATION)), np.empty((2 * n, PLACES), np.int64), np.empty((states, states)), np.empty(states),
-        np.empty((2 * d.pairs.groups, states + 2)), np.empty((states, states)), np.empty(states), np.empty(2 * n), np.empty(2 * n),
+        np.empty((2 * n, OBSERVATION)), np.empty((2 * n, PLACES), np.int64), np.empty((states, states)), np.empty((states, states)),
+        np.empty((states, states)), np.empty(states), np.empty((2 * d.pairs.groups, states + 2)), np.empty((states, states)),
+        np.empty(states), np.empty(2 * n), np.empty(2 * n),
     )  # fmt: skip
     trial = np.zeros((2, systems))
     phase_scale = phase_factor(scale)
     factors = code_factors(scale, trial)
-    ok = False
+    ok = factor(f.P, work.U) == OK
     for _ in range(_SOLUTIONS):
         fill_observations(f, d, layout, factors, phase_scale, work)
-        ok = adjust(f, work, velocity_mps, velocity_cov_m2ps2)
+        ok = ok and adjust(f, work, velocity_mps, velocity_cov_m2ps2)
         if not ok:
             break
         code_statistics(d, work, trial)
@@ -118,7 +124,8 @@ def adjust(f: Filter, work: Work, velocity_mps: Vector, velocity_cov_m2ps2: Matr
     """Adjust with the weights as they are; False if the covariance is not positive definite any more."""
     normal_equations(work.observations, work.places, DYNAMIC, work.mean.shape[0], work.N, work.b, work.mean)
     add_velocity(f.x, f.P, velocity_mps, velocity_cov_m2ps2, work.N, work.b)
-    if posterior(f.P, work.N, work.b, work.P_new, work.dx) != OK:
+    work.V[:, :] = work.U
+    if posterior_of(work.V, work.N, work.b, work.P_new, work.dx) != OK:
         return False
     residuals(work.observations, work.places, DYNAMIC, work.mean, work.P_new, work.dx, False, work.value, work.variance)
     return True

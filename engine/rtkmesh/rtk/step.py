@@ -1,0 +1,89 @@
+"""One epoch in one compiled call: the filters moved on to it, then its relative solution."""
+
+from math import isfinite, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.epoch import Signals
+from rtkmesh.models.single import Located
+from rtkmesh.models.single_adjustment import CONVERGED
+from rtkmesh.rtk.bookkeeping import Motion, advance, seed
+from rtkmesh.rtk.relative import NOT_FINITE, SOLVED, Known, Setup, Solved, solve_pair, walks_of
+from rtkmesh.rtk.report import FIGURES
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, SEED_MOVING, Filter
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+ASTRAY: Final = NOT_FINITE + 1  # beside those of ``relative``: the filters must begin anew
+_FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
+
+
+class Step(NamedTuple):
+    """How the filters reach an epoch: after ``dt_s`` (NaN: they begin with it) from where the base was then (ECEF, m), on a baseline of
+    ``length_m``.
+
+    ``moves``: the rover or the baseline does. ``reseeds``: its position and motion begin anew with the single point. ``shifts``: another
+    base position is another baseline. ``strays``: a prediction far off the single-point position is not believed.
+    """
+
+    dt_s: float
+    base_ecef_m: Vector
+    length_m: float
+    moves: bool
+    reseeds: bool
+    shifts: bool
+    strays: bool
+    motion: Motion
+
+
+@kernel
+def take_step(
+    f: Filter, informed: Filter, rover: Signals, base: Signals, located: Located, channel: NDArray[np.int8], klobuchar: Vector,
+    step: Step, known: Known, setup: Setup,
+) -> Solved:  # fmt: skip
+    """Return the relative solution of an epoch, as ``solve_pair`` does, with the filters (written to) that the last one left; ASTRAY
+    where these cannot go on.
+    """
+    informed, moved = move_on(f, informed, located, step, known, setup)
+    if not moved:
+        return Solved(ASTRAY, f, informed, f.x, f.P, np.zeros(FIGURES), np.zeros((0, 0)), f.P)
+    model_ecef_m = known.base_ecef_m + f.x[:3]
+    solved = solve_pair(f, informed, rover, base, located, channel, klobuchar, known, setup)
+    if solved.status == SOLVED:
+        known.last_model_ecef_m[:] = model_ecef_m
+    return solved
+
+
+@kernel
+def move_on(f: Filter, informed: Filter, located: Located, step: Step, known: Known, setup: Setup) -> tuple[Filter, bool]:
+    """Move both filters on; return the informed one, and whether they can be gone on with."""
+    if not isfinite(step.dt_s):
+        return informed, True
+    if step.reseeds:
+        place_m = located.position_ecef_m - step.base_ecef_m
+        seed(f, place_m, SEED_MOVING)
+        seed(informed, place_m, SEED_MOVING)
+    walks, moves = walks_of(setup, step.length_m, known.memory), step.moves and not step.reseeds
+    if len(informed.keys) > 0 and not advance(informed, step.dt_s, moves, step.motion, step.base_ecef_m, walks, SEED_MOVING):
+        informed = Filter(np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), np.zeros(0, np.int64), np.zeros((0, HISTORY)))
+    if not advance(f, step.dt_s, moves, step.motion, step.base_ecef_m, walks, SEED_MOVING):
+        return informed, False
+    if step.strays and located.status == CONVERGED and _is_astray(f, located, step.base_ecef_m):
+        return informed, False
+    if step.shifts:
+        shift_m = known.base_ecef_m - step.base_ecef_m
+        f.x[:3] -= shift_m
+        informed.x[:3] -= shift_m
+    return informed, True
+
+
+@kernel
+def _is_astray(f: Filter, located: Located, base_ecef_m: Vector) -> bool:
+    """Return whether the predicted position is too far off the single-point one."""
+    cov = located.covariance_m2
+    gap_m = base_ecef_m + f.x[:3] - located.position_ecef_m
+    return sqrt(gap_m[0] ** 2 + gap_m[1] ** 2 + gap_m[2] ** 2) > _FAR_M + 5.0 * sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
