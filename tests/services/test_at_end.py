@@ -1,6 +1,5 @@
 """When `up --exit-at-end` ends: recordings solved, and every attitude through with what was solved, however slow it is."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -55,12 +54,12 @@ class World:
         self.tell("base", "ingest", end=played)
         self.tell("vector", "solver", end=solved)
         self.tell("body", "attitude", taken)
-        return self._end(cast(up.Foreground, SimpleNamespace(board=self.board, processes=list[dict[str, Any]])))
+        return self._end(cast("up.Foreground", SimpleNamespace(board=self.board, processes=list[dict[str, Any]])))
 
 
 @pytest.fixture
-def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
-    yield World(tmp_path, monkeypatch)
+def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
+    return World(tmp_path, monkeypatch)
 
 
 def test_an_attitude_that_lags_by_half_a_minute_is_waited_for(world: World) -> None:
