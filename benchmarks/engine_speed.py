@@ -36,7 +36,7 @@ CASES = (
     ),
 )  # fmt: skip
 WARM = 5
-STAGES = ("locate", "advance", "solve_pair", "report")  # the compiled calls of a step, and its last
+STAGES = ("locate", "take_step", "report")  # the compiled calls of a step, and its last
 
 
 def seconds(time_):
@@ -67,23 +67,11 @@ def staged(pairs, table, base_ecef_m, options):
     spent = {stage: [] for stage in STAGES}
     with ExitStack() as stack:
         for stage in STAGES:
-            stack.enter_context(patch.object(engine_module, stage, timed(getattr(engine_module, stage), spent[stage])))
+            stack.enter_context(patch.object(engine_module, stage, solver_speed.timed(getattr(engine_module, stage), spent[stage])))
         engine = Rtk(options)
         for rover, base in pairs:
             engine.step(rover, base, table, base_position_ecef_m=base_ecef_m)
     return {stage: float(np.median(values)) for stage, values in spent.items()}
-
-
-def timed(function, spent):
-    """Return the function that also notes how long it took."""
-
-    def call(*args, **kwargs):
-        start = time.perf_counter()
-        result = function(*args, **kwargs)
-        spent.append(1e3 * (time.perf_counter() - start))
-        return result
-
-    return call
 
 
 def main():
