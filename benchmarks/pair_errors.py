@@ -122,7 +122,7 @@ def _without_clocks(value_m: Vector, d: Differences) -> Vector:
 
 
 def refined(pair: Pair) -> Pair:
-    """Return the pair with the baseline that the phases say on average over all epochs."""
+    """Return the pair with the baseline that the phases say on average over all epochs; as it is where they are too few."""
     shifts: list[Vector] = []
     for _, d in differences(pair):
         error_m = phase_errors_m(d)
@@ -130,7 +130,7 @@ def refined(pair: Pair) -> Pair:
         if there.sum() >= _ENOUGH:
             towards = [_without_clocks(np.where(there, -d.rover_direction[:, axis], np.nan), d) for axis in range(3)]
             shifts.append(np.linalg.lstsq(np.array(towards).T[there], error_m[there], rcond=None)[0])
-    return replace(pair, baseline_ecef_m=pair.baseline_ecef_m + np.mean(shifts, axis=0))
+    return pair if not shifts else replace(pair, baseline_ecef_m=pair.baseline_ecef_m + np.mean(shifts, axis=0))
 
 
 def of_pair(pair: Pair) -> dict[str, list[Series]]:
