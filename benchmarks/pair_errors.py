@@ -50,7 +50,7 @@ class Pair:
 def recorded_pair(case: Case) -> Pair:
     """Return a recorded pair with the baseline of its middle fix."""
     fixes = [s for s in recorded.solutions(case, RtkOptions(systems=case.systems, frequencies=case.frequencies)) if s.status is Status.FIX]
-    scene, baseline = slips.recorded(case.name, case), np.median([s.baseline_ecef_m for s in fixes], axis=0)
+    scene, baseline = slips.recorded(case.name, case), np.median(np.array([s.baseline_ecef_m for s in fixes]), axis=0)
     navigation = [message for _, message in scene.others]
     options = RtkOptions(systems=case.systems, frequencies=min(case.frequencies, _BANDS))
     return Pair(scene.rover, scene.base, navigation, np.array(case.base_ecef_m), baseline, options)
@@ -130,7 +130,7 @@ def refined(pair: Pair) -> Pair:
         if there.sum() >= _ENOUGH:
             towards = [_without_clocks(np.where(there, -d.rover_direction[:, axis], np.nan), d) for axis in range(3)]
             shifts.append(np.linalg.lstsq(np.array(towards).T[there], error_m[there], rcond=None)[0])
-    return pair if not shifts else replace(pair, baseline_ecef_m=pair.baseline_ecef_m + np.mean(shifts, axis=0))
+    return pair if not shifts else replace(pair, baseline_ecef_m=pair.baseline_ecef_m + np.array(shifts).mean(axis=0))
 
 
 def of_pair(pair: Pair) -> dict[str, list[Series]]:
