@@ -59,6 +59,7 @@ BENCHMARKS = (
     Benchmark("attitude_search", "attitude_search.py", "Attitude from single epochs with known geometry", ("--quick",), recordings=False),
     Benchmark("attitude_subsets", "attitude_subsets.py", "Single epochs of few satellites with the length known", ("--quick",)),
     Benchmark("sigmas", "sigmas.py", "Covariances against errors", ("--quick",)),
+    Benchmark("receiver_errors", "receiver_errors.py", "Errors of codes and phases, recorded and simulated", ("--quick",)),
     Benchmark("slips", "slips.py", "Cycle slips: found, missed, and what these do", ("--quick",), recordings=False),
     Benchmark("integrity", "integrity.py", "Fix probabilities and protection levels against errors", ("--quick",)),
     Benchmark("endurance", "endurance.py", "A million updates of one filter", ("--quick",), recordings=False),

@@ -201,13 +201,14 @@ def _tracked(solution: Solution | None, age_s: float) -> dict[int, list[int]]:
     return {s: sorted(signals, key=lambda signal: -carrier_hz(s, signal, 0)) for s, signals in found.items()}
 
 
-def _interval_s(scene: Scene) -> float:
+def usual_interval_s(scene: Scene) -> float:
+    """Return the usual time from epoch to epoch of the rover."""
     return float(np.median([b.time - a.time for a, b in pairwise(scene.rover)]))
 
 
 def put(scene: Scene, fault: Fault, clean: dict[GpsTime, Solution], rng: Random) -> tuple[list[Epoch], list[Slip]]:
     """Return the rover's epochs with slips, and these."""
-    interval_s = _interval_s(scene)
+    interval_s = usual_interval_s(scene)
     missing = round(fault.gap_s / interval_s)
     slips: list[Slip] = []
     dropped: set[int] = set()
@@ -308,7 +309,7 @@ def measure(scene: Scene, faults: Sequence[Fault], seed: int) -> Iterator[Row]:
         repeats = one_band and (fault.cycles[0] != 1.0 or fault.cycles[1] or fault.share) and fault.cycles != (0.5, 0.0)
         if repeats and not (fault.share and not fault.cycles[1]):
             continue
-        if 0.0 < fault.gap_s < _interval_s(scene):
+        if 0.0 < fault.gap_s < usual_interval_s(scene):
             continue
         rover, slips = put(scene, fault, clean, np.random.default_rng((seed, number)))
         yield {"fault": fault.name} | judge(scene, rover, slips, clean)

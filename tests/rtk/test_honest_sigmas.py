@@ -32,13 +32,14 @@ def sigmas() -> Iterator[ModuleType]:
             del sys.modules[name]
 
 
-# Family, bounds of the mean of its fixes and of its floats: the target for fixes, but for six runs of the M8 class (0.73 over 20); floats
-# are better than they say (0.11 to 0.42 over 20 runs), since what makes these honest makes floats in streets too sure.
+# Family, bounds of the mean of its fixes and of its floats. Behind them, over 20 runs of seed 11: fixes 1.09, 1.05, 0.87, 0.87 (lower
+# 95 %: those of M8 have wrong ones), floats 0.87, 0.56, 0.99, 0.59. A float's error stays through its run, so six runs are six
+# samples of three numbers: 0.4 to 1.8 if all is honest (95 %).
 SIMULATED = [
-    ("open", (0.7, 1.5), (0.2, 1.5)),
-    ("open_survey_l1", (0.7, 1.5), (0.05, 1.5)),
-    ("open_f9p_l1", (0.7, 1.5), (0.15, 1.5)),
-    ("open_m8_l1", (0.6, 1.5), (0.15, 1.5)),
+    ("open", (0.7, 1.5), (0.4, 1.8)),
+    ("open_survey_l1", (0.7, 1.5), (0.3, 1.8)),
+    ("open_f9p_l1", (0.7, 1.5), (0.4, 1.8)),
+    ("open_m8_l1", (0.6, 1.5), (0.3, 1.8)),
 ]
 
 
@@ -54,11 +55,11 @@ def test_simulated_open_sky(sigmas: ModuleType, name: str, fix: tuple[float, flo
 
 
 # Recording, the same. Behind the fixes 0.77, 0.53 and 1.49: of the second the mean of its own fixes is the truth, and what its multipath
-# does in five minutes is 0.54 of all of it. Behind the floats 0.67, 2.2 (five satellites: residuals see little of their codes) and 1.66.
+# does in five minutes is 0.54 of all of it. Behind the floats 0.61 (one piece), 1.38 (two) and 0.77 (six).
 RECORDED = [
-    ("kanagawa_60s", (0.7, 1.5), (0.5, 1.5)),
-    ("tokyo_static_l1gps", (0.4, 1.5), (0.7, 2.8)),
-    ("geonet_2005", (0.7, 1.6), (0.7, 2.2)),
+    ("kanagawa_60s", (0.7, 1.5), (0.3, 1.8)),
+    ("tokyo_static_l1gps", (0.4, 1.5), (0.5, 2.2)),
+    ("geonet_2005", (0.7, 1.6), (0.5, 1.5)),
 ]
 
 

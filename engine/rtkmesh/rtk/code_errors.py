@@ -27,7 +27,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 # What the variance of floats is multiplied by before codes have shown anything, and what that is worth in degrees of freedom. Simulated
-# runs ask for 0.05 to 0.15, recordings for 0.6 to 6: a mean of minutes is one sample of few degrees, so the start counts for some. (A start
+# runs ask for 0.3 to 0.9, recordings for 0.7 to 6: a mean of minutes is one sample of few degrees, so the start counts for some. (A start
 # of 0.25 made the few satellites of one band and of streets 2 to 5 times too sure.)
 PRIOR: Final = 1.0
 PRIOR_DOF: Final = 3.0
