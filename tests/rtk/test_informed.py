@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 
 from rtkmesh.rtk import informed
 from rtkmesh.rtk.ambiguity import held_differences, tell
+from rtkmesh.rtk.bookkeeping import relax
 from rtkmesh.rtk.matching import Pairs
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, DIFFERENCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
-from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, ZENITH_KEY, Filter
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, USUAL_M, ZENITH_KEY, Filter
 
 PAIR = 262144  # a key of a pair is its satellite times this, and more
 
@@ -41,21 +42,20 @@ def told_filter(integers, seed=1):
 def test_a_longer_baseline_brings_nearer_what_lies_ahead(shift, seed):
     """Observed minus modelled grows by the shift's part towards the satellite, code and phase alike; there and back changes nothing."""
     d, shift = differences([1, 2, 3, 70], seed), np.array(shift)
-    there = informed.with_states(d, 20e3, shift)
+    there = informed.with_states(d, shift)
     expected = d.rover_direction @ shift
     assert there.table[:, CODE] - d.table[:, CODE] == pytest.approx(expected, abs=1e-12)
     assert there.table[:, PHASE] - d.table[:, PHASE] == pytest.approx(expected, abs=1e-12)
-    back = informed.with_states(there, 0.0, -shift)
+    back = informed.with_states(there, -shift)
     assert back.table[:, PHASE] == pytest.approx(d.table[:, PHASE], abs=1e-12)
 
 
-def test_the_ionosphere_leaves_the_variances_and_glonass_codes_say_nothing():
-    """Phases lose what stood for the ionosphere; codes of GLONASS get metres."""
+def test_glonass_codes_say_nothing():
+    """They get metres; phases and the codes of others stay as they are."""
     d = differences([1, 2, 70])
-    out = informed.with_states(d, 20e3, np.zeros(3)).table
-    gone = (0.5e-6 * 20e3 / np.sin(d.table[:, ELEVATION_RAD])) ** 2
-    assert d.table[:, PHASE_VARIANCE] - out[:, PHASE_VARIANCE] == pytest.approx(gone)
-    assert d.table[:2, CODE_VARIANCE] - out[:2, CODE_VARIANCE] == pytest.approx(gone[:2])
+    out = informed.with_states(d, np.zeros(3)).table
+    assert out[:, PHASE_VARIANCE] == pytest.approx(d.table[:, PHASE_VARIANCE])
+    assert out[:2, CODE_VARIANCE] == pytest.approx(d.table[:2, CODE_VARIANCE])
     assert out[2, CODE_VARIANCE] > 100.0
 
 
@@ -84,7 +84,7 @@ def test_what_a_system_shares_is_no_strain(first, second):
     f.x[DYNAMIC + 1 : DYNAMIC + 4], f.x[DYNAMIC + 4 : DYNAMIC + 6] = first, second
     assert informed.strain(f, 30e3) == pytest.approx(0.0, abs=1e-9)
     f.x[DYNAMIC + 1] += 0.3
-    assert informed.strain(f, 30e3) == pytest.approx(0.3 * np.sqrt(2.0 / 3.0 / 5.0) / 0.0305, rel=1e-6)
+    assert informed.strain(f, 30e3) == pytest.approx(0.3 * np.sqrt(2.0 / 3.0 / 5.0) / 0.068, rel=1e-6)
     f.x[DYNAMIC] = -0.16
     assert informed.strain(f, 30e3) == pytest.approx(10.0)
 
@@ -94,6 +94,24 @@ def test_only_satellites_with_integers_strain():
     f = atmosphere([3, 7, 9], [True, True, False])
     f.x[DYNAMIC + 3] = 1.0
     assert informed.strain(f, 30e3) == 0.0
+
+
+@given(st.floats(0.1, 3.0), st.floats(10.0, 3000.0))
+def test_ionospheres_go_back_to_what_is_usual(memories, usual_mm):
+    """A Gauss-Markov process: what was known fades with the memory, the variance becomes the usual one; nothing else changes."""
+    f, memory_s, usual_m = atmosphere([3, 7], [True, True]), 600.0, usual_mm * 1e-3
+    n = len(f.x)
+    A = np.random.default_rng(2).normal(size=(n, n))
+    f.P[:, :], f.x[:], f.history[1:3, USUAL_M] = A @ A.T, np.arange(1.0, n + 1.0), usual_m
+    x, P, ionospheres = f.x.copy(), f.P.copy(), slice(DYNAMIC + 1, DYNAMIC + 3)
+    for _ in range(10):
+        relax(f, memory_s, memories * memory_s / 10.0)
+    keep = np.ones(n)
+    keep[ionospheres] = np.exp(-memories)
+    added = np.zeros(n)
+    added[ionospheres] = (1.0 - np.exp(-2.0 * memories)) * usual_m**2
+    assert f.x == pytest.approx(x * keep)
+    np.testing.assert_allclose(f.P, np.outer(keep, keep) * P + np.diag(added), rtol=1e-9, atol=1e-12)
 
 
 def test_integers_are_adopted_by_key():

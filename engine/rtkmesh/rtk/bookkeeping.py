@@ -33,6 +33,7 @@ from rtkmesh.rtk.state import (
     SLIPS,
     SLOPE_KEY,
     STREAK,
+    USUAL_M,
     ZENITH_KEY,
     Filter,
     place_of,
@@ -53,11 +54,12 @@ _KNOWN_SLIP_VARIANCE_CYC2: Final = 0.2**2
 class Walks(NamedTuple):
     """Random walks of the keyed states and how new shared ones begin (all in their units, walks per square root of second).
 
+    An ionosphere does not walk away: within ``ionosphere_s`` it goes back to nothing, as far as its usual size ``ionosphere_sigma_m``.
     ``slope`` is value and sigma of a new GLONASS slope; ``code_memory_s`` the correlation time of code multipath.
     """
 
     ambiguity_cyc: float
-    ionosphere_m: float
+    ionosphere_s: float
     ionosphere_sigma_m: float
     zenith_m: float
     zenith_sigma_m: float
@@ -113,6 +115,7 @@ def advance(f: Filter, dt_s: float, moving: bool, motion: Motion, base_ecef_m: V
     if moving:
         move(f, dt_s, motion, base_ecef_m, sigmas)
     grow(f.P, f.keys, DYNAMIC, walks, dt_s)
+    relax(f, walks.ionosphere_s, dt_s)
     return is_finite(f.x, f.P)
 
 
@@ -120,7 +123,7 @@ def advance(f: Filter, dt_s: float, moving: bool, motion: Motion, base_ecef_m: V
 def grow(P: Matrix, keys: Indices, dynamic: int, walks: Walks, dt_s: float) -> None:
     """Add to the variances of the keyed states what their random walks add in this step."""
     for k in range(len(keys)):
-        walk = walks.ionosphere_m
+        walk = 0.0
         if keys[k] >= FIRST_PAIR_KEY:
             walk = walks.ambiguity_cyc
         elif keys[k] == ZENITH_KEY:
@@ -128,6 +131,24 @@ def grow(P: Matrix, keys: Indices, dynamic: int, walks: Walks, dt_s: float) -> N
         elif keys[k] == SLOPE_KEY:
             walk = walks.slope_m
         P[dynamic + k, dynamic + k] += walk * walk * dt_s
+
+
+@kernel
+def relax(f: Filter, memory_s: float, dt_s: float) -> None:
+    """Let ionospheres forget what they were and become of their usual size again, within their memory (first-order Gauss-Markov process;
+    Gelb 1974, Applied Optimal Estimation, 2.2).
+    """
+    keep = np.exp(-dt_s / memory_s)
+    for k in range(len(f.keys)):
+        if f.keys[k] >= FIRST_PAIR_KEY:
+            return
+        if f.keys[k] == ZENITH_KEY or f.keys[k] == SLOPE_KEY:
+            continue
+        i = DYNAMIC + k
+        f.x[i] *= keep
+        f.P[i, :] *= keep
+        f.P[:, i] *= keep
+        f.P[i, i] += (1.0 - keep * keep) * f.history[k, USUAL_M] ** 2
 
 
 @kernel
@@ -339,7 +360,7 @@ def begin_shared(f: Filter, walks: Walks, time_s: float, ionosphere: Indices) ->
     """
     for k in ionosphere:
         if k >= 0:
-            f.history[k, SEEN_S] = time_s
+            f.history[k, SEEN_S], f.history[k, USUAL_M] = time_s, walks.ionosphere_sigma_m
     for i in range(len(f.keys)):
         if f.keys[i] >= FIRST_PAIR_KEY:
             return

@@ -26,11 +26,12 @@ FIRST_PAIR_KEY: Final = MAX_SATELLITE  # below: ionosphere states (satellite num
 # STREAK is what the last search said (0 for a group's reference), NaN where it was not in the search. HALF_CYC is 0.5 while the phase is
 # half a cycle off the integer that it had. TAKEN_M is the mean of code errors that the ambiguity has taken, TAKEN_M2 (m2) what the filter
 # believes of its variance (``code_errors``). From AWAY_ROVER and AWAY_BASE on are the steps (m; displacement and clock) of the receivers
-# since the satellite was seen.
+# since the satellite was seen. In the row of an ionosphere USUAL_M is its usual size.
 (
     SEEN_S, ROVER_S, BASE_S, ROVER_M, BASE_M, ROVER_LOCK_S, BASE_LOCK_S, ISSUE, ARC_EPOCHS, REJECTS, SLIPS, INTEGER, ARC_S, STREAK,
     HALF_CYC, TAKEN_M, TAKEN_M2,
 ) = range(17)  # fmt: skip
+USUAL_M: Final = TAKEN_M
 STEP: Final = 4
 AWAY_ROVER: Final = 17
 AWAY_BASE: Final = AWAY_ROVER + STEP

@@ -33,7 +33,6 @@ from rtkmesh.rtk.memory import (
     DOUBTS,
     GLONASS_VOTES,
     HELD_SINCE_S,
-    INFORMED,
     LAST_COUNT,
     LAST_NORM,
     LAST_ODDS,
@@ -73,7 +72,7 @@ SEARCH_EVERY: Final = 5  # epochs between free searches of a large set that has 
 GLONASS_EPOCHS: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
 FIX_SIGMA_M: Final = 0.15  # a fix must be this good: who reads FIX expects centimetres
 CONFIRMATIONS: Final = 3
-INFORMED_EPOCHS: Final = 3  # epochs in which the informed filter must have agreed to speak for the integers against the witness
+INFORMED_EPOCHS: Final = 3  # epochs in which the informed filter must have found no strain for that to count as agreement
 
 # Reasons as numbers, for kernels.
 FIX_OK, FEW_AMBIGUITIES, NOT_SURE, TOO_UNCERTAIN, NOT_VALID, SWITCHED_OFF, TOO_RISKY = (int(reason) for reason in (
@@ -208,7 +207,7 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
         else:
             against = free.odds >= setup.confidence * ACCEPT_AT_ONCE and free.norm <= NORM_LIMIT * len(free.pairs)
             doubt = doubt or against or log_odds(norm_of(f, held, other), norm, n) > RELEASE
-    note(f, doubt and memory[INFORMED] < INFORMED_EPOCHS, memory, prediction)
+    note(f, doubt, memory, prediction)
 
 
 @kernel
