@@ -49,16 +49,18 @@ SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chanc
 @kernel
 def try_new(
     f: Filter, aided: Filter, helped: bool, candidates: Candidates, everything: Candidates, free: Search, memory: Vector,
-    setup: ResolveSetup, time_s: float,
+    setup: ResolveSetup, time_s: float, asked: float,
 ) -> None:  # fmt: skip
-    """Look for integers without any that are held; ``aided`` is the filter that knows a prediction, where that ``helped``."""
+    """Look for integers without any that are held; ``aided`` is the filter that knows a prediction, where that ``helped``; ``asked``
+    are the log odds from which one search is believed (``asked_odds``).
+    """
     release(f)
     memory[HELD_SINCE_S] = np.inf
     best, level, penalty, wide = free, f, 0.0, False
-    if not _strong(best, 0.0, setup) and helped and len(candidates.row) > 1:
+    if not _strong(best, 0.0, setup, asked) and helped and len(candidates.row) > 1:
         found = search_all(aided, candidates, setup)
         best = found if found.odds > best.odds else best
-    if not _strong(best, 0.0, setup) and len(candidates.row) > 1:
+    if not _strong(best, 0.0, setup, asked) and len(candidates.row) > 1:
         other = _best_subset(f, candidates, free, setup, time_s)
         if other.odds > best.odds:
             best, penalty = other, log(SUBSETS)
@@ -80,7 +82,7 @@ def try_new(
         lasting_s = max(lasting_s, min(far2 * WEAK_STREAK_S, FAR_STREAK_S))
     persistent = memory[STREAK_EPOCHS] >= STREAK_EPOCHS_LEAST and time_s - memory[STREAK_START_S] >= lasting_s
     likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty
-    strong = not few and _strong(best, penalty, setup)
+    strong = not few and _strong(best, penalty, setup, asked)
     if not (likely or strong) or best.norm > NORM_LIMIT * len(best.pairs):
         return
     if wide:  # the slope that GLONASS fits with is known now
@@ -89,7 +91,8 @@ def try_new(
     _hold(f, best)
     memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED] = time_s, 0.0, 0.0
     good = penalty == 0.0 and best.norm <= GOOD_FIT * len(best.pairs)
-    memory[SHOWN] = 1.0 if good or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
+    clear = strong and penalty == 0.0 and asked < ACCEPT_AT_ONCE  # so are odds that are enough where codes are good
+    memory[SHOWN] = 1.0 if good or clear or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
 
 
 @kernel
@@ -168,12 +171,12 @@ def without_slope(f: Filter) -> Filter:
 
 
 @kernel
-def _strong(found: Search, penalty: float, setup: ResolveSetup) -> bool:
+def _strong(found: Search, penalty: float, setup: ResolveSetup, asked: float) -> bool:
     count = len(found.pairs)
     if not found.resolved or count < setup.minimum_ambiguities:
         return False
     many = count >= STRONG_COUNT and found.norm <= 0.25 * NORM_LIMIT * count
-    return found.odds >= setup.confidence * (ACCEPT_MANY if many else ACCEPT_AT_ONCE) + penalty
+    return found.odds >= setup.confidence * (min(ACCEPT_MANY, asked) if many else asked) + penalty
 
 
 @kernel

@@ -11,6 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
+from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, begin_informed, settle
@@ -173,7 +174,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         confirmed = known.memory[CONFIRMED]
-        free = decide(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
+        free = decide(f, candidates, known.memory, setup.resolve, known.prediction, time_s, code_level(known.scale))
         if length_m > INFORMED_FROM_M and not setup.slip.base_moves:
             motion = Motion(known.times_s, expected, model_ecef_m - known.base_ecef_m, known.velocity_mps, known.velocity_cov_m2ps2)
             use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
