@@ -9,7 +9,8 @@ RTKLIB's rnx2rtkp with the options beside the data; both files are scored by sco
 
 Columns: solutions, fixes and right fixes in % of the rover's epochs (of those that the reference covers), wrong fixes (off by more
 than 0.15 m in 3D) and the longest run of them, errors of the fixes (50 % / 95 %), time to first fix, processor time per epoch of the
-whole process (start included), and of the solving alone. `own median`: there is no truth, the errors are about the file's own median
+whole process (start included), and of the solving alone. `Where both fix`: errors (95 %) at the epochs that we and rnx2rtkp have fixed, and
+their number; what one of them fixes alone has no part in it. `own median`: there is no truth, the errors are about the file's own median
 fix and say only how well it repeats.
 
 --gate ends with 1 when a case has fewer right fixes than rnx2rtkp by 2 % of the epochs, or more wrong ones.
@@ -74,9 +75,11 @@ def _cost(done: rtklib.Finished, case: Case) -> Row:
 
 def measure(case: Case, program: list[str], out: Path, direction: str = "forward") -> dict[str, Row]:
     """Return the rows of a case; one that could not be made has the key ``failed``. Stored solutions are forward ones."""
-    rows = {OURS: ours(program, case, out / f"{case.name}.rtkmesh.pos", direction)}
+    mine, bar = out / f"{case.name}.rtkmesh.pos", out / f"{case.name}.b34.pos"
+    rows = {OURS: ours(program, case, mine, direction)}
     if not rtklib.missing():
-        rows[RTKLIB] = theirs(case, out / f"{case.name}.b34.pos", direction)
+        rows[RTKLIB] = theirs(case, bar, direction)
+        rows[OURS]["common"], rows[RTKLIB]["common"] = case.score_common(mine, bar), case.score_common(bar, mine)
     stored = case.stored if direction == "forward" else {}
     return rows | {name: case.score(file) for name, file in stored.items() if name != RTKLIB}
 
@@ -91,6 +94,8 @@ def in_words(row: Row) -> str:
         parts.append(f"wrong {row['wrong_fixes']:4d} (run {row['longest_wrong_run']})")
         if row["h_fixed"]:
             parts += [f"{axis} {row[f'{axis}_fixed']['p50']:.3f}/{row[f'{axis}_fixed']['p95']:.3f}" for axis in ("h", "v")]
+    if common := row.get("common"):
+        parts.append(f"both fixed: {common['count']}, h {common['h']['p95']:.3f} v {common['v']['p95']:.3f}")
     parts.append(f"first fix {row['ttff_s']} s")
     if "cpu_ms_per_epoch" in row:
         parts.append(f"{row['cpu_ms_per_epoch']:.2f} ms/epoch")

@@ -49,6 +49,15 @@ class Case:
             return {name: row[name] for name in ("solutions", "of_epochs", "fix_pct", "float_pct", "ttff_s")}
         return row
 
+    def score_common(self, pos: Path, other: Path) -> score_pos.Row | None:
+        """Return the errors of a file at epochs that another one has fixed too; None without any or without a truth."""
+        if self.against == "none":
+            return None
+        try:
+            return score_pos.common_fixes(pos, other, self.truth)
+        except (OSError, score_pos.ScoreError):
+            return None
+
 
 def data_folder() -> Path | None:
     """Return the folder of the recordings (RTKMESH_DATA or ../shared/data), or None."""

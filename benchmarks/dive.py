@@ -35,7 +35,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
 from rtkmesh.rtk.solution import Status
-from rtkmesh.simulation.classes import F9P, M8, SURVEY
+from rtkmesh.simulation.classes import F9P, M8, SURVEY, moving
 from rtkmesh.simulation.receiver import ReceiverOptions
 from rtkmesh.simulation.rtcm3_stream import Rtcm3Stream
 from rtkmesh.simulation.trajectories import boat
@@ -78,11 +78,11 @@ def mission(receiver: ReceiverOptions, frequencies: int, rng: np.random.Generato
         outages += [Outage(float(at), float(length)), Outage(float(at + length), _WAVES_S, _WAVES_BELOW_RAD)]
         surfacings.append((at + length, at + length + _SURFACE_S))
         at += length + _SURFACE_S
-    signals = SURVEY.signals._replace(multipath_time_s=150.0, glonass_slope_m=0.02 * float(rng.standard_normal()))
+    signals = SURVEY.signals._replace(glonass_slope_m=0.02 * float(rng.standard_normal()))
     base = replace(SURVEY, steered=True, signals=signals)
     setup = Setup(
         epochs=at, options=RtkOptions(frequencies=frequencies), trajectory=boat,
-        rover=replace(receiver, signals=receiver.signals._replace(multipath_time_s=15.0)), base=base, base_enu_m=(800.0, -600.0, 5.0),
+        rover=replace(receiver, signals=moving(receiver.signals, 15.0)), base=base, base_enu_m=(800.0, -600.0, 5.0),
         outages=tuple(outages),
     )  # fmt: skip
     run = simulate(setup, rng)

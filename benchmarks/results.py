@@ -18,8 +18,8 @@ RESULTS: Final = REPOSITORY / "benchmarks" / "RESULTS.md"
 README: Final = REPOSITORY / "README.md"
 
 _COLUMNS: Final = (
-    "solved by", "solutions", "fix %", "right %", "wrong", "longest wrong run", "h50 / h95 m", "v50 / v95 m", "first fix s",
-    "CPU ms/epoch, process", "ms/epoch, solving",
+    "solved by", "solutions", "fix %", "right %", "wrong", "longest wrong run", "h50 / h95 m", "v50 / v95 m", "where both fix: h95 / v95 m",
+    "first fix s",     "CPU ms/epoch, process", "ms/epoch, solving",
 )  # fmt: skip
 
 
@@ -83,7 +83,8 @@ def _cells(title: str, row: Row) -> list[str]:
     numbers = [_number(row.get(name), form) for name, form in (("right_fix_pct", ".1f"), ("wrong_fixes", "d"), ("longest_wrong_run", "d"))]
     costs = [_number(row.get(name), ".2f") for name in ("cpu_ms_per_epoch", "solve_ms_per_epoch")]
     errors = [_errors(row.get(f"{axis}_fixed")) for axis in ("h", "v")]
-    return [title, str(row["solutions"]), _number(row["fix_pct"], ".1f"), *numbers, *errors, _number(row["ttff_s"], ".0f"), *costs]
+    common = _common(row.get("common"))
+    return [title, str(row["solutions"]), _number(row["fix_pct"], ".1f"), *numbers, *errors, common, _number(row["ttff_s"], ".0f"), *costs]
 
 
 def _number(value: float | None, form: str) -> str:
@@ -92,6 +93,11 @@ def _number(value: float | None, form: str) -> str:
 
 def _errors(row: Row | None) -> str:
     return f"{row['p50']:.3f} / {row['p95']:.3f}" if row else ""
+
+
+def _common(row: Row | None) -> str:
+    """Return the errors at epochs that both programs have fixed, to a tenth of a millimetre, and their number."""
+    return f"{row['h']['p95']:.4f} / {row['v']['p95']:.4f} ({row['count']})" if row else ""
 
 
 def accuracy_summary(report: Report, cases: Sequence[Case], titles: dict[str, str], behind: Sequence[str]) -> str:

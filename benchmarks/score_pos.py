@@ -54,7 +54,20 @@ class Track:
     def since(self, skip_s: float) -> "Track":
         """Return the track without its first seconds."""
         keep = self.time_s >= self.time_s[0] + skip_s
+        return self.where(keep)
+
+    def where(self, keep: Flags) -> "Track":
+        """Return the track of some of its epochs."""
         return Track(self.kind, self.time_s[keep], self.vector_m[keep], self.quality[keep])
+
+    def fixed_with(self, other: "Track") -> "Track":
+        """Return the fixes at epochs at which another track is fixed too."""
+        theirs_s = other.time_s[other.quality == FIX]
+        if not len(theirs_s):
+            return self.where(np.zeros(len(self.time_s), np.bool_))
+        after = np.clip(np.searchsorted(theirs_s, self.time_s), 1, max(len(theirs_s) - 1, 1)) % len(theirs_s)
+        near_s = np.minimum(np.abs(theirs_s[after] - self.time_s), np.abs(theirs_s[after - 1] - self.time_s))
+        return self.where((self.quality == FIX) & (near_s < _SAME_EPOCH_S))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,6 +172,18 @@ def score(path: Path, truth: Truth, *, epochs: int | None = None, wrong_m: float
     if truth.reference is None and truth.position_ecef_m is None:
         row["truth"] = "median of the fixes (repeatability only)"
     return row | _accuracy(error_enu_m, fixed, compared if truth.reference else count, wrong_m)
+
+
+def common_fixes(path: Path, other: Path, truth: Truth) -> Row | None:
+    """Return how many fixes of two files are of equal epochs, and their horizontal and vertical errors in the first file; None if none.
+
+    What one file fixes alone, often the hardest epochs, has no part in it.
+    """
+    track = read_track(path).fixed_with(read_track(other))
+    if not len(track.time_s):
+        return None
+    error_enu_m, _, _ = _errors(track, truth)
+    return {"count": len(track.time_s), "h": spread(np.linalg.norm(error_enu_m[:, :2], axis=1)), "v": spread(error_enu_m[:, 2])}
 
 
 def _availability(track: Track, count: int) -> Row:

@@ -67,6 +67,19 @@ def test_known_errors_are_found(benchmarks: dict[str, ModuleType], tmp_path: Pat
     assert row["v_fixed"]["max"] == pytest.approx(0.2, abs=2e-4)
 
 
+def test_what_one_alone_fixes_has_no_part_in_common_errors(benchmarks: dict[str, ModuleType], tmp_path: Path):
+    """Epochs of both, fixed in both: of four fixes with 1, 2, 3 and 9 cm two are common, whatever the other's errors are."""
+    judge = benchmarks["score_pos"]
+    turn = judge.enu_from_ecef_at(np.array(TRUTH_ECEF_M))
+    ours = pos(tmp_path / "a.pos", [(0.01, 0.0, 0.0), (0.02, 0.0, 0.01), (0.03, 0.0, 0.0), (0.09, 0.0, 0.0)], [1, 1, 1, 1], turn)
+    theirs = pos(tmp_path / "b.pos", [(0.5, 0.0, 0.0), (0.5, 0.0, 0.0), (0.5, 0.0, 0.0)], [1, 1, 2], turn)
+    row = judge.common_fixes(ours, theirs, judge.Truth(position_ecef_m=TRUTH_ECEF_M))
+    assert row["count"] == 2
+    assert (row["h"]["max"], row["v"]["max"]) == pytest.approx((0.02, 0.01), abs=2e-4)
+    never = pos(tmp_path / "c.pos", [(0.0, 0.0, 0.0)], [2], turn)
+    assert judge.common_fixes(ours, never, judge.Truth(position_ecef_m=TRUTH_ECEF_M)) is None
+
+
 def test_a_reference_counts_where_it_is(benchmarks: dict[str, ModuleType], tmp_path: Path):
     """Only epochs between fixes of the reference are compared, interpolated; without common epochs there is an error."""
     judge = benchmarks["score_pos"]

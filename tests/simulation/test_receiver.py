@@ -21,8 +21,8 @@ from rtkmesh.simulation.trajectories import AntennaPath, Site, static
 START = GpsTime(2445, 529200.0 + 3600.0)
 SITE = Site(0.9, 0.2, 50.0)
 QUIET = SignalOptions(
-    code_sigma_m=0.0, phase_sigma_m=0.0, rate_sigma_mps=0.0, code_multipath_m=0.0, phase_multipath_m=0.0, slips_per_hour=0.0,
-    half_cycle_share=0.0,
+    code_sigma_m=0.0, phase_sigma_m=0.0, rate_sigma_mps=0.0, code_multipath_m=0.0, phase_multipath_m=0.0, glonass_code_bias_m=0.0,
+    slips_per_hour=0.0, half_cycle_share=0.0,
 )  # fmt: skip
 
 

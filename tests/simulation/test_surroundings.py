@@ -30,8 +30,8 @@ HEIGHT_M = 18.0
 HEIGHTS = np.full((32, 32), HEIGHT_M)
 IN_THE_STREET = np.array((0.0, 40.0, 1.5))  # of a street that runs north, between two crossings
 QUIET = SignalOptions(
-    code_sigma_m=0.0, phase_sigma_m=0.0, rate_sigma_mps=0.0, code_multipath_m=0.0, phase_multipath_m=0.0, slips_per_hour=0.0,
-    half_cycle_share=0.0, fading_sigma_db=0.0,
+    code_sigma_m=0.0, phase_sigma_m=0.0, rate_sigma_mps=0.0, code_multipath_m=0.0, phase_multipath_m=0.0, glonass_code_bias_m=0.0,
+    slips_per_hour=0.0, half_cycle_share=0.0, fading_sigma_db=0.0,
 )  # fmt: skip
 
 

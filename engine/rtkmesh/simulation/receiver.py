@@ -145,6 +145,7 @@ class Receiver:
         self._code_biases_m = rng.normal(0.0, 1.0, (MAX_SATELLITE // SATELLITES_PER_SYSTEM, SLOTS))
         self._phase_biases_cyc = rng.uniform(0.0, 1.0, self._code_biases_m.shape)
         n = len(SATELLITES)
+        self._lasting = rng.standard_normal((n, SLOTS, 3))
         self._track = np.full((n, SLOTS, TRACK), np.nan)
         self._travel_s = np.full(n, _TRAVEL_S)
         self._view = np.zeros((n, VIEW))
@@ -181,7 +182,8 @@ class Receiver:
         halves, values = np.empty(size, np.bool_), np.empty((VALUES, size))
         count = measure(
             rows, self._states, self._geometry, self._rates, self._view, self._track, self._signals, _CARRIER_HZ, CHANNELS,
-            self._code_biases_m, self._phase_biases_cyc, tag_s, clock_s, clock_rate, options, normals, index, flags, halves, values,
+            self._code_biases_m, self._phase_biases_cyc, self._lasting, tag_s, clock_s, clock_rate, options, normals, index, flags, halves,
+            values,
         )  # fmt: skip
         satellite, values = index[:count] // SLOTS, values[:, :count]
         epoch = Epoch(

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh.simulation.classes import F9P, SURVEY, moving
 from rtkmesh.simulation.environment import Window
 from rtkmesh.simulation.receiver import Receiver, ReceiverClock, ReceiverOptions
 from rtkmesh.simulation.rtcm3_stream import Rtcm3Stream
 from rtkmesh.simulation.sky import absolute_s
-from rtkmesh.simulation.tracking import SignalOptions
 from rtkmesh.simulation.trajectories import AntennaPath, Site, Trajectory, boat, driving, static
 from rtkmesh.simulation.ubx_stream import UbxStream
 from rtkmesh.simulation.unicore_stream import UnicoreStream
@@ -30,14 +30,10 @@ Offset = tuple[float, float, float]
 MAX_RATE_HZ: Final = 50.0
 _LONGEST_DELAY_S: Final = 300.0
 
-_BASE_SIGNALS: Final = SignalOptions(
-    code_sigma_m=0.15, phase_sigma_m=0.0008, code_multipath_m=0.3, phase_multipath_m=0.002, slips_per_hour=0.2, zenith_cn0_dbhz=51.0,
-    half_cycle_share=0.0, half_cycle_time_s=0.0, glonass_slope_m=0.02,
-)  # fmt: skip
-_BASE: Final = ReceiverOptions(signals=_BASE_SIGNALS, elevation_mask_rad=radians(5.0), steered=True)
-_ROVER: Final = ReceiverOptions(clock_drift=3.1e-7)
-_HEADING: Final = ReceiverOptions(clock_drift=-1.7e-7)
-_MOVING: Final = SignalOptions(multipath_time_s=6.0, slips_per_hour=2.0)
+_BASE: Final = replace(SURVEY, signals=SURVEY.signals._replace(glonass_slope_m=0.02), steered=True)
+_ROVER: Final = F9P
+_HEADING: Final = replace(F9P, clock_drift=-1.7e-7)
+_MOVING: Final = moving(F9P.signals, 10.0)._replace(slips_per_hour=2.0)
 
 
 @dataclass(frozen=True, slots=True)

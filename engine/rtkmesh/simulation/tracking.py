@@ -21,11 +21,11 @@ Cube = NDArray[np.float64]
 SLOTS: Final = 2  # signals per satellite
 
 # Columns of a tracking state (satellites, SLOTS, TRACK): time when the signal is acquired and since when its phase is continuous (s; NaN:
-# not tracked), ambiguity (cycles), half cycle not yet removed (0 or 1), multipath of code and phase (m), fading (dB), slipped just now,
-# way that the signal takes (PATH of the surroundings).
-READY, SINCE, AMBIGUITY, HALF, CODE_MULTIPATH, PHASE_MULTIPATH, FADING, SLIPPED, WAY = range(9)
-TRACK: Final = 9
-NORMALS: Final = 7  # random numbers per signal and epoch
+# not tracked), ambiguity (cycles), half cycle not yet removed (0 or 1), multipath of code and phase that comes and goes within seconds and
+# within minutes, and fading (unit variance each), slipped just now, way that the signal takes (PATH of the surroundings).
+READY, SINCE, AMBIGUITY, HALF, CODE_FAST, PHASE_FAST, CODE_SLOW, PHASE_SLOW, FADING, SLIPPED, WAY = range(11)
+TRACK: Final = 11
+NORMALS: Final = 9  # random numbers per signal and epoch
 UNIFORMS: Final = 4
 
 # Rows of the measured values.
@@ -38,24 +38,38 @@ _OMEGA = OMEGA_EARTH_GPS_RADPS
 _REFERENCE_CN0 = 45.0  # dB-Hz at which the sigmas of the options hold
 _WARM_LOCK_S = 60.0
 _SECOND_SIGNAL_DELAY_S = 1.0  # the second frequency is acquired after the first
+_GLONASS_CODES = 1.6  # how much larger errors of GLONASS codes are, of chips twice as long: recordings show 1.0 to 1.9
+_LOWEST_SINE = 0.1  # of elevations, where multipath stops to grow
 _WEAK_CN0_DBHZ = 28.0  # our choice: about where the phase loops of robots' receivers begin to slip
 _WEAK_SLOPE_DB = 2.5  # our choice: tenfold slips for so many dB less (the mean time to a slip is exponential in the loop's noise)
 
 
 class SignalOptions(NamedTuple):
-    """How well a receiver tracks; sigmas at 45 dB-Hz, multipath at the horizon (it falls off as exp(-elevation / 20 degrees))."""
+    """How well a receiver tracks. ``code_sigma_m`` and ``phase_sigma_m`` are white, at 45 dB-Hz, and go with C/N0.
 
-    code_sigma_m: float = 0.25
-    phase_sigma_m: float = 0.001
+    Multipath is what else codes and phases have of errors, whatever its cause: its sigma at the zenith, which grows as 1 / sin(elevation).
+    Of its squares ``slow`` and ``lasting`` are shares that live for ``multipath_slow_s`` and for ever, the rest for ``multipath_fast_s``.
+    The defaults are those of a u-blox ZED-F9P (see ``classes``).
+    """
+
+    code_sigma_m: float = 0.05
+    phase_sigma_m: float = 0.0012
     rate_sigma_mps: float = 0.03
-    code_multipath_m: float = 0.6
-    phase_multipath_m: float = 0.003
-    multipath_time_s: float = 40.0
+    code_multipath_m: float = 0.27
+    phase_multipath_m: float = 0.0021
+    code_slow: float = 0.1
+    code_lasting: float = 0.1
+    phase_slow: float = 0.33
+    phase_lasting: float = 0.22
+    multipath_fast_s: float = 25.0
+    multipath_slow_s: float = 90.0
+    glonass_code_bias_m: float = 0.3  # sigma of what each GLONASS satellite's codes are off for ever
+    told_code_sigma_m: float = 0.25  # what the receiver says of its codes at 45 dB-Hz; 0: it says nothing of codes and phases
     fading_sigma_db: float = 1.5
     fading_time_s: float = 8.0
-    zenith_cn0_dbhz: float = 49.0
-    horizon_cn0_dbhz: float = 33.0
-    second_signal_db: float = -3.0
+    zenith_cn0_dbhz: float = 47.5
+    horizon_cn0_dbhz: float = 30.0
+    second_signal_db: float = -4.0
     slips_per_hour: float = 1.0  # of each signal
     half_cycle_share: float = 0.3  # of new arcs and of slips that are wrong by half a cycle until it is resolved
     half_cycle_time_s: float = 3.0  # until the half cycle is resolved
@@ -157,7 +171,8 @@ def _begin_arc(state: Vector, time_s: float, warm: bool, options: SignalOptions,
     state[SINCE] = time_s - _WARM_LOCK_S * (0.1 + chance[1]) if warm else time_s
     state[AMBIGUITY] = np.floor(2000.0 * chance[2]) - 1000.0
     state[HALF] = 1.0 if not warm and chance[3] < options.half_cycle_share else 0.0
-    state[CODE_MULTIPATH], state[PHASE_MULTIPATH], state[FADING] = normal[0], normal[1], normal[2]
+    state[CODE_FAST], state[PHASE_FAST], state[FADING] = normal[0], normal[1], normal[2]
+    state[CODE_SLOW], state[PHASE_SLOW] = normal[7], normal[8]
     state[SLIPPED] = 0.0 if warm else 1.0
 
 
@@ -167,12 +182,11 @@ def _continue_arc(
     chance: Vector,
 ) -> None:  # fmt: skip
     """Let multipath and fading drift (first order Gauss-Markov, unit variance) and slip: ``slips`` are expected, or certain."""
-    keep = exp(-step_s / options.multipath_time_s)
-    fresh = sqrt(1.0 - keep * keep)
-    state[CODE_MULTIPATH] = keep * state[CODE_MULTIPATH] + fresh * normal[0]
-    state[PHASE_MULTIPATH] = keep * state[PHASE_MULTIPATH] + fresh * normal[1]
-    keep = exp(-step_s / options.fading_time_s)
-    state[FADING] = keep * state[FADING] + sqrt(1.0 - keep * keep) * normal[2]
+    state[CODE_FAST] = _drifted(state[CODE_FAST], step_s / options.multipath_fast_s, normal[0])
+    state[PHASE_FAST] = _drifted(state[PHASE_FAST], step_s / options.multipath_fast_s, normal[1])
+    state[CODE_SLOW] = _drifted(state[CODE_SLOW], step_s / options.multipath_slow_s, normal[7])
+    state[PHASE_SLOW] = _drifted(state[PHASE_SLOW], step_s / options.multipath_slow_s, normal[8])
+    state[FADING] = _drifted(state[FADING], step_s / options.fading_time_s, normal[2])
     state[SLIPPED] = 0.0
     if chance[0] < slips or other_way:
         size = 1.0 + np.floor(5.0 * chance[2])
@@ -183,15 +197,29 @@ def _continue_arc(
 
 
 @kernel
+def _drifted(value: float, steps: float, normal: float) -> float:
+    """Return a Gauss-Markov state of unit variance after a step of so many correlation times."""
+    keep = exp(-steps)
+    return keep * value + sqrt(1.0 - keep * keep) * normal
+
+
+@kernel
+def _mixed(fast: float, slow: float, lasting: float, slow_share: float, lasting_share: float) -> float:
+    """Return an error of unit variance of three independent ones with shares of the squares."""
+    return sqrt(1.0 - slow_share - lasting_share) * fast + sqrt(slow_share) * slow + sqrt(lasting_share) * lasting
+
+
+@kernel
 def measure(
     rows: Matrix, states: Matrix, geometry: Matrix, rates_mps: Vector, view: Matrix, track: Cube, signals: NDArray[np.int16],
-    carriers_hz: Matrix, channels: NDArray[np.int8], code_biases_m: Matrix, phase_biases_cyc: Matrix, time_s: float, clock_s: float,
-    clock_rate: float, options: SignalOptions, normals: Cube, index: NDArray[np.int64], flags: NDArray[np.uint8],
+    carriers_hz: Matrix, channels: NDArray[np.int8], code_biases_m: Matrix, phase_biases_cyc: Matrix, lasting: Cube, time_s: float,
+    clock_s: float, clock_rate: float, options: SignalOptions, normals: Cube, index: NDArray[np.int64], flags: NDArray[np.uint8],
     halves: NDArray[np.bool_], values: Matrix,
 ) -> int:  # fmt: skip
     """Write all measurements of an epoch and return how many: ``index`` (satellite row * SLOTS + slot), flags, values (VALUES, .).
 
-    ``halves`` says where a resolved half cycle is subtracted. Biases are by system and slot; clock in s and s/s.
+    ``halves`` says where a resolved half cycle is subtracted. Biases are by system and slot; ``lasting`` (n, SLOTS, 3) is what
+    codes and phases keep of multipath and GLONASS codes of their bias, unit variance; clock in s and s/s.
     """
     count = 0
     for i in range(track.shape[0]):
@@ -208,11 +236,17 @@ def measure(
             values[CN0, count] = _cn0_dbhz(geometry[i, ELEVATION], j, state[FADING], options) + 0.4 * normals[i, j, 3]
             values[CN0, count] -= view[i, ATTENUATION_DB]
             noise = 10.0 ** ((_REFERENCE_CN0 - values[CN0, count]) / 20.0)
-            reflected = exp(-geometry[i, ELEVATION] / 0.349)
-            code_multipath_m = options.code_multipath_m * reflected + view[i, CODE_SIGMA_M]
-            phase_multipath_m = options.phase_multipath_m * reflected + view[i, PHASE_SIGMA_M]
-            code_m = options.code_sigma_m * noise * normals[i, j, 4] + code_multipath_m * state[CODE_MULTIPATH]
-            phase_m = options.phase_sigma_m * noise * normals[i, j, 5] + phase_multipath_m * state[PHASE_MULTIPATH]
+            low = 1.0 / max(sin(geometry[i, ELEVATION]), _LOWEST_SINE)
+            code_own = _mixed(state[CODE_FAST], state[CODE_SLOW], lasting[i, j, 0], options.code_slow, options.code_lasting)
+            phase_own = _mixed(state[PHASE_FAST], state[PHASE_SLOW], lasting[i, j, 1], options.phase_slow, options.phase_lasting)
+            code_m = options.code_sigma_m * noise * normals[i, j, 4] + options.code_multipath_m * low * code_own
+            code_m += view[i, CODE_SIGMA_M] * state[CODE_FAST]
+            wide = _GLONASS_CODES if system == GLONASS else 1.0
+            code_m *= wide
+            if system == GLONASS:
+                code_m += options.glonass_code_bias_m * lasting[i, j, 2]
+            phase_m = options.phase_sigma_m * noise * normals[i, j, 5] + options.phase_multipath_m * low * phase_own
+            phase_m += view[i, PHASE_SIGMA_M] * state[PHASE_FAST]
             delay_m = group_delay_m(rows[i], signals[i, j]) + code_biases_m[system, j]
             resolved = lock_s >= options.half_cycle_time_s
             half_cyc = 0.0 if resolved else 0.5 * state[HALF]
@@ -223,8 +257,9 @@ def measure(
             values[PHASE, count] = cycles + state[AMBIGUITY] + half_cyc + phase_biases_cyc[system, j]
             values[DOPPLER, count] = -rate_mps / wavelength_m
             values[LOCK, count] = lock_s
-            values[CODE_SIGMA, count] = options.code_sigma_m * noise
-            values[PHASE_SIGMA, count] = options.phase_sigma_m * noise / wavelength_m
+            says = options.told_code_sigma_m > 0.0
+            values[CODE_SIGMA, count] = options.told_code_sigma_m * wide * noise if says else np.nan
+            values[PHASE_SIGMA, count] = options.phase_sigma_m * noise / wavelength_m if says else np.nan
             flags[count] = (0 if resolved else HALF_CYCLE) | (SLIP if state[SLIPPED] > 0.0 else 0)
             halves[count] = resolved and state[HALF] > 0.0
             index[count] = i * SLOTS + j

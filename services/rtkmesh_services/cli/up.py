@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final
 from cyclopts import Parameter
 
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, Role
+from rtkmesh_schemas.status import ServiceStatus
 from rtkmesh_services.cli.board import Board
 from rtkmesh_services.cli.check import url_errors
 from rtkmesh_services.cli.detach import Announcement, detached
@@ -224,7 +225,7 @@ class AtEnd:
         self._waited = set(site.deployment.solver) or self._receivers
         self._attitudes = set(site.deployment.attitude)
         self._at_rest: dict[str, tuple[int, int]] = {}
-        self._solved, self._idle_since_s = -1, 0.0
+        self._done, self._idle_since_s = -1, 0.0
 
     def __call__(self, foreground: Foreground) -> tuple[str, int] | None:
         """Return (why, exit code) when it is the end."""
@@ -248,7 +249,7 @@ class AtEnd:
         resting = 0
         for id_ in self._attitudes & set(board.statuses):
             status, _ = board.statuses[id_]
-            taken = sum(row.messages for row in status.inputs)
+            taken = _taken(status)
             heartbeat, before = self._at_rest.setdefault(id_, (status.heartbeat, -1))
             if before != taken:
                 self._at_rest[id_] = status.heartbeat, taken
@@ -256,11 +257,16 @@ class AtEnd:
         return resting == len(self._attitudes & set(board.statuses))
 
     def _idle_s(self, board: Board) -> float:
-        """Return how long no solution has come since all receivers ended."""
+        """Return how long no solution has come, and no attitude has taken any, since all receivers ended."""
         solved, now_s = sum(track.count for track in board.solutions.values()), time.monotonic()
-        if solved != self._solved:
-            self._solved, self._idle_since_s = solved, now_s
+        done = solved + sum(_taken(board.statuses[id_][0]) for id_ in self._attitudes & set(board.statuses))
+        if done != self._done:
+            self._done, self._idle_since_s = done, now_s
         return now_s - self._idle_since_s
+
+
+def _taken(status: ServiceStatus) -> int:
+    return sum(row.messages for row in status.inputs)
 
 
 def connect(site: Site, keeper: Keeper) -> Bus:
