@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs
-from rtkmesh.rtk.asked_odds import ASKED_OF_FAIR_CODES, ASKED_OF_SURVEY_CODES, asked_odds, code_level
+from rtkmesh.rtk.asked_odds import ASKED_OF_SURVEY_CODES, ASKED_OF_WITNESSED, FAIR_CODES, asked_odds, code_level
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
 from rtkmesh.rtk.noise import learn_codes, new_code_scale
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEY, Filter
@@ -76,36 +76,38 @@ def test_a_witness_helps_and_does_not_mislead():
         alone = Candidates(*(column[:GPS] for column in everything))
         told = witnessed(f, everything)
         searches = (search(f, alone, np.nan, 0.01), search(f, everything, np.nan, 0.01), told)
-        clear += [s.odds >= ASKED_OF_FAIR_CODES for s in searches]
+        clear += [s.odds >= ASKED_OF_WITNESSED for s in searches]
         true = TRUE[told.pairs[:, 0] - DYNAMIC - 1] - TRUE[told.pairs[:, 1] - DYNAMIC - 1]
-        wrong += int(told.odds >= ASKED_OF_FAIR_CODES and (told.integers != true).any())
+        wrong += int(told.odds >= ASKED_OF_WITNESSED and (told.integers != true).any())
     assert clear[2] > 1.5 * max(clear[0], clear[1])
     assert wrong == 0
 
 
 def test_what_is_asked_follows_the_codes():
-    """Nothing known: fair codes; residuals of survey antennas and of streets move it; far away the old odds are asked."""
+    """Nothing known: fair codes; residuals of survey antennas and of streets move it; far away what is asked anywhere is asked."""
     scale, here = new_code_scale(), np.zeros(12)
     assert code_level(scale) == 1.0
-    assert asked_odds(code_level(scale), here) == ASKED_OF_FAIR_CODES
+    assert asked_odds(code_level(scale), False, here) == ACCEPT_AT_ONCE
+    assert asked_odds(code_level(scale), True, here) == ASKED_OF_WITNESSED
     trial = np.zeros((2, scale.shape[1]))
     trial[:, 0] = 0.05 * 20.0, 20.0
     learn_codes(scale, trial)
     assert code_level(scale) == pytest.approx(4.0 / 23.0)
-    assert asked_odds(code_level(scale), here) == ASKED_OF_SURVEY_CODES
+    assert asked_odds(code_level(scale), False, here) == asked_odds(code_level(scale), True, here) == ASKED_OF_SURVEY_CODES
     trial[:, 2] = 6.0 * 20.0, 20.0
     learn_codes(scale, trial)
-    assert asked_odds(code_level(scale), here) == ACCEPT_AT_ONCE
-    assert asked_odds(0.1, np.array([3e3, 4e3, 0.0])) == pytest.approx(1.5 * ASKED_OF_SURVEY_CODES)
-    assert asked_odds(0.1, np.array([6e3, 8e3, 0.0])) == ACCEPT_AT_ONCE
+    assert code_level(scale) > FAIR_CODES
+    assert asked_odds(code_level(scale), True, here) == ACCEPT_AT_ONCE
+    assert asked_odds(0.1, False, np.array([0.6e3, 0.8e3, 0.0])) == pytest.approx(1.1 * ASKED_OF_SURVEY_CODES)
+    assert asked_odds(0.1, False, np.array([6e3, 8e3, 0.0])) == ACCEPT_AT_ONCE
 
 
 @settings(deadline=None)
-@given(st.floats(0.02, 30.0), st.floats(0.0, 50e3), st.floats(1.0, 2.0), st.floats(0.0, 10e3))
-def test_worse_codes_and_longer_baselines_never_ask_for_less(level, length_m, worse, further_m):
+@given(st.floats(0.02, 30.0), st.booleans(), st.floats(0.0, 50e3), st.floats(1.0, 2.0), st.floats(0.0, 10e3))
+def test_worse_codes_and_longer_baselines_never_ask_for_less(level, told, length_m, worse, further_m):
     """Monotonous in both, never more than what one search must have anywhere."""
     near, far = np.array([0.0, length_m, 0.0]), np.array([0.0, length_m + further_m, 0.0])
-    asked = asked_odds(level, near)
+    asked = asked_odds(level, told, near)
     assert ASKED_OF_SURVEY_CODES <= asked <= ACCEPT_AT_ONCE
-    assert asked_odds(level * worse, near) >= asked
-    assert asked_odds(level, far) >= asked
+    assert asked_odds(level * worse, told, near) >= asked
+    assert asked_odds(level, told, far) >= asked

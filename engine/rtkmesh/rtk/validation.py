@@ -25,7 +25,7 @@ from rtkmesh.rtk.ambiguity import (
     take,
     tell,
 )
-from rtkmesh.rtk.asked_odds import asked_odds
+from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds
 from rtkmesh.rtk.joining import join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -121,19 +121,21 @@ def decide(
     """Find, keep or release integers in this epoch; return the free search. ``prediction`` is where the last fix and time differences of
     the phase put the baseline (m, ECEF) and its sigma, NaN without; ``level`` the variance factor of the codes (``asked_odds``).
     """
-    asked = asked_odds(level, f.x)
     candidates = everything if memory[TRUSTS_GLONASS] > 0.0 else take(everything, everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
     held = pairs_of(take(everything, is_held(f, everything)))
     free = _free_search(f, candidates, len(held), memory, setup)
-    if asked < ACCEPT_AT_ONCE and len(candidates.row) < len(everything.row):
-        free = _surer(f, everything, free, len(held), setup)
+    told = free
+    if level <= FAIR_CODES and len(candidates.row) < len(everything.row):
+        told = _surer(f, everything, free, len(held), setup)
+    asked, asked_of_told = asked_odds(level, False, f.x), asked_odds(level, told.odds > free.odds, f.x)
+    free = told
     if len(held) >= 3:
         _watch(f, held, free, memory, setup, prediction)
         held = pairs_of(take(everything, is_held(f, everything)))
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
     aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
-        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked)
+        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told)
     else:
         join(f, aided, candidates, held)
         _learn_glonass(f, everything, held, memory, setup)
