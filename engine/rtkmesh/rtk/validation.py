@@ -179,7 +179,7 @@ def _free_search(f: Filter, candidates: Candidates, held: int, memory: Vector, s
 @kernel
 def _surer(f: Filter, everything: Candidates, free: Search, held: int, setup: ResolveSetup) -> Search:
     """Return what GLONASS makes of a search that is not clear: other integers only where none are held, else surer odds of the same."""
-    if not free.resolved or free.odds >= setup.confidence * ACCEPT_AT_ONCE or isfinite(setup.length_m):
+    if not free.resolved or free.odds >= setup.confidence * ACCEPT_AT_ONCE:
         return free
     told = witnessed(f, everything)
     same = held < 3 or compare_integers(f.keys, free.values, f.keys, told.values)[1] == 0
