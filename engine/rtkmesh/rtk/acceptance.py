@@ -50,25 +50,28 @@ SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chanc
 @kernel
 def try_new(
     f: Filter, aided: Filter, helped: bool, candidates: Candidates, everything: Candidates, free: Search, memory: Vector,
-    setup: ResolveSetup, time_s: float,
+    setup: ResolveSetup, time_s: float, asked: float, asked_of_free: float,
 ) -> None:  # fmt: skip
-    """Look for integers without any that are held; ``aided`` is the filter that knows a prediction, where that ``helped``."""
+    """Look for integers without any that are held; ``aided`` is the filter that knows a prediction, where that ``helped``; ``asked``
+    are the log odds from which one search is believed (``asked_odds``), ``asked_of_free`` those of the ``free`` one.
+    """
     release(f)
     memory[HELD_SINCE_S] = np.inf
-    best, level, penalty, wide = free, f, 0.0, False
-    if not _strong(best, 0.0, setup) and helped and len(candidates.row) > 1:
+    best, level, penalty, wide, needed = free, f, 0.0, False, asked_of_free
+    if not _strong(best, 0.0, setup, needed) and helped and len(candidates.row) > 1:
         found = search_all(aided, candidates, setup)
-        best = found if found.odds > best.odds else best
-    if not _strong(best, 0.0, setup) and len(candidates.row) > 1:
+        if found.odds > best.odds:
+            best, needed = found, asked
+    if not _strong(best, 0.0, setup, needed) and len(candidates.row) > 1:
         other = _best_subset(f, candidates, free, setup, time_s)
         if other.odds > best.odds:
-            best, penalty = other, log(SUBSETS)
+            best, penalty, needed = other, log(SUBSETS), asked
         if len(everything.row) > len(candidates.row):
             flat = without_slope(f)
             sloped, straight = search_all(f, everything, setup), search_all(flat, everything, setup)
             with_glonass = straight if straight.odds > sloped.odds else sloped
             if with_glonass.odds > best.odds:
-                best, penalty, wide = with_glonass, log(SUBSETS), True
+                best, penalty, wide, needed = with_glonass, log(SUBSETS), True, asked
                 level = flat if straight.odds > sloped.odds else f
     if not best.resolved or len(best.pairs) < setup.minimum_ambiguities:
         memory[STREAK_EPOCHS] = 0.0
@@ -81,7 +84,8 @@ def try_new(
         lasting_s = max(lasting_s, min(far2 * WEAK_STREAK_S, FAR_STREAK_S))
     persistent = memory[STREAK_EPOCHS] >= STREAK_EPOCHS_LEAST and time_s - memory[STREAK_START_S] >= lasting_s
     likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty
-    if not (likely or _strong(best, penalty, setup)) or best.norm > NORM_LIMIT * len(best.pairs):
+    strong = _strong(best, penalty, setup, needed)
+    if not (likely or strong) or best.norm > NORM_LIMIT * len(best.pairs):
         return
     if wide:  # the slope that GLONASS fits with is known now
         f.x[:], f.P[:, :] = level.x, level.P
@@ -89,7 +93,8 @@ def try_new(
     _hold(f, best)
     memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED] = time_s, 0.0, 0.0
     good = penalty == 0.0 and best.norm <= GOOD_FIT * len(best.pairs)
-    memory[SHOWN] = 1.0 if good or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
+    clear = strong and penalty == 0.0 and needed < ACCEPT_AT_ONCE  # so are odds that are enough where codes are good
+    memory[SHOWN] = 1.0 if good or clear or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
 
 
 @kernel
@@ -168,12 +173,12 @@ def without_slope(f: Filter) -> Filter:
 
 
 @kernel
-def _strong(found: Search, penalty: float, setup: ResolveSetup) -> bool:
+def _strong(found: Search, penalty: float, setup: ResolveSetup, asked: float) -> bool:
     count = len(found.pairs)
     if not found.resolved or count < setup.minimum_ambiguities:
         return False
     many = count >= STRONG_COUNT and found.norm <= 0.25 * NORM_LIMIT * count
-    return found.odds >= setup.confidence * (ACCEPT_MANY if many else ACCEPT_AT_ONCE) + penalty
+    return found.odds >= setup.confidence * (min(ACCEPT_MANY, asked) if many else asked) + penalty
 
 
 @kernel

@@ -11,6 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
+from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, begin_informed, settle
@@ -183,7 +184,9 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         confirmed, sharp = known.memory[CONFIRMED], with_sharper_phases(f, sharper) if sharper < 1.0 else f
-        free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s)
+        # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
+        level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
+        free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, level)
         if far:
             motion = Motion(known.times_s, expected, model_ecef_m - known.base_ecef_m, known.velocity_mps, known.velocity_cov_m2ps2)
             knowing = _walks(setup, _INFORMED_SIGMA_PPM * length_m, known.memory)

@@ -25,6 +25,7 @@ from rtkmesh.rtk.ambiguity import (
     take,
     tell,
 )
+from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds
 from rtkmesh.rtk.joining import join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -54,6 +55,7 @@ from rtkmesh.rtk.memory import (
 from rtkmesh.rtk.separation import normalised_square
 from rtkmesh.rtk.solution import Reason
 from rtkmesh.rtk.state import DYNAMIC, INTEGER, SLOPE_KEY, Filter, place_of
+from rtkmesh.rtk.witness import witnessed
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -112,20 +114,27 @@ def withheld(r: Resolution) -> Resolution:
 
 
 @kernel
-def decide(f: Filter, everything: Candidates, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float) -> Search:
+def decide(
+    f: Filter, everything: Candidates, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float, level: float
+) -> Search:
     """Find, keep or release integers in this epoch; return the free search. ``prediction`` is where the last fix and time differences of
-    the phase put the baseline (m, ECEF) and its sigma, NaN without.
+    the phase put the baseline (m, ECEF) and its sigma, NaN without; ``level`` the variance factor of the codes (``asked_odds``).
     """
     candidates = everything if memory[TRUSTS_GLONASS] > 0.0 else take(everything, everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
     held = pairs_of(take(everything, is_held(f, everything)))
     free = _free_search(f, candidates, len(held), memory, setup)
+    told = free
+    if level <= FAIR_CODES and len(candidates.row) < len(everything.row):
+        told = _surer(f, everything, free, len(held), setup)
+    asked, asked_of_told = asked_odds(level, False, f.x), asked_odds(level, told.odds > free.odds, f.x)
+    free = told
     if len(held) >= 3:
         _watch(f, held, free, memory, setup, prediction)
         held = pairs_of(take(everything, is_held(f, everything)))
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
     aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
-        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s)
+        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told)
     else:
         join(f, aided, candidates, held)
         _learn_glonass(f, everything, held, memory, setup)
@@ -164,6 +173,16 @@ def _free_search(f: Filter, candidates: Candidates, held: int, memory: Vector, s
     memory[SINCE_SEARCH], memory[LAST_COUNT] = 1.0, float(len(found.pairs))
     memory[LAST_NORM], memory[LAST_SECOND], memory[LAST_SUCCESS], memory[LAST_ODDS] = found.norm, found.second, found.success, found.odds
     return found
+
+
+@kernel
+def _surer(f: Filter, everything: Candidates, free: Search, held: int, setup: ResolveSetup) -> Search:
+    """Return what GLONASS makes of a search that is not clear: other integers only where none are held, else surer odds of the same."""
+    if not free.resolved or free.odds >= setup.confidence * ACCEPT_AT_ONCE:
+        return free
+    told = witnessed(f, everything)
+    same = held < 3 or compare_integers(f.keys, free.values, f.keys, told.values)[1] == 0
+    return told if told.odds > free.odds and same else free
 
 
 @kernel

@@ -1,0 +1,113 @@
+"""First fixes: which log odds are asked, and what GLONASS says of the others' integers."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rtkmesh.models.odds import log_odds
+from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs
+from rtkmesh.rtk.asked_odds import ASKED_OF_SURVEY_CODES, ASKED_OF_WITNESSED, FAIR_CODES, asked_odds, code_level
+from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
+from rtkmesh.rtk.noise import learn_codes, new_code_scale
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEY, Filter
+from rtkmesh.rtk.witness import KEYS_PER_SATELLITE, LEAST, RIVALS, witnessed
+
+WAVELENGTH_M = 0.19
+SLOPE_SIGMA_M = 0.03
+GPS = 8
+CHANNELS = np.array([-7.0, -4.0, -1.0, 2.0, 5.0])
+TRUE = np.array([3, -7, 12, 0, 5, 1, -2, 9, 4, -3, 8, 2, -6])
+
+
+def floating(rng, code_m=0.5, phase_m=0.003, gps=GPS):
+    """A filter after an epoch of both systems: position and clocks by codes, phases, those of GLONASS with a slope that is not known."""
+    n, glonass = gps + len(CHANNELS), len(CHANNELS)
+    azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi, n), rng.uniform(0.3, 1.5, n)
+    sky = np.column_stack([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
+    channel, system = np.concatenate([np.zeros(gps), CHANNELS]), np.repeat([0, 1], [gps, glonass])
+    states = DYNAMIC + 1 + n
+    # Codes: position and a clock per system; phases: position, slope and ambiguity, the clock being that of the ambiguities.
+    codes, phases = np.zeros((n, states + 2)), np.zeros((n, states + 2))
+    codes[:, :3] = phases[:, :3] = -sky
+    codes[np.arange(n), states + system] = 1.0
+    phases[:, DYNAMIC], phases[np.arange(n), DYNAMIC + 1 + np.arange(n)] = channel, WAVELENGTH_M
+    slope_m = SLOPE_SIGMA_M * rng.standard_normal()
+    truth = np.zeros(states + 2)
+    truth[DYNAMIC], truth[DYNAMIC + 1 : DYNAMIC + 1 + n] = slope_m, TRUE[:n]
+    prior = np.diag(np.concatenate([np.full(3, 1e-4), np.ones(6), [SLOPE_SIGMA_M**-2], np.full(n, 1e-8), np.full(2, 1e-6)]))
+    N = prior + codes.T @ codes / code_m**2 + phases.T @ phases / phase_m**2
+    b = codes.T @ (codes @ truth + code_m * rng.standard_normal(n)) / code_m**2
+    b += phases.T @ (phases @ truth + phase_m * rng.standard_normal(n)) / phase_m**2
+    P = np.linalg.inv(N)
+    keys = np.concatenate([[SLOPE_KEY], (np.arange(n) + 1 + system * (64 - gps)) * KEYS_PER_SATELLITE])
+    x = P @ b
+    everything = Candidates(np.arange(1, n + 1), system.astype(np.int64), keys[1:] // KEYS_PER_SATELLITE, elevation)
+    return Filter(x[:states].copy(), P[:states, :states].copy(), keys, np.zeros((n + 1, HISTORY))), everything
+
+
+@pytest.mark.parametrize("gps", [GPS, LEAST])
+def test_odds_are_those_against_other_integers_of_the_others(gps):
+    """Of the vectors that a longer search gives, the first with other GPS integers counts; the best one's GPS integers are told."""
+    rng, compared = np.random.default_rng(1), 0
+    for _ in range(12):
+        f, everything = floating(rng, gps=gps)
+        pairs, told = pairs_of(everything), witnessed(f, everything)
+        if gps == LEAST:
+            assert not told.resolved  # six satellites are five differences
+            continue
+        fixed, norms = np.zeros((2 * RIVALS, len(pairs))), np.zeros(2 * RIVALS)
+        search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)
+        own = pairs[:, 0] <= DYNAMIC + gps
+        assert told.pairs.tolist() == pairs[own].tolist()
+        assert told.integers.tolist() == fixed[0, own].tolist()
+        rivals = np.flatnonzero((fixed[:, own] != fixed[0, own]).any(axis=1))
+        rival = min(rivals[0], RIVALS - 1) if len(rivals) else RIVALS - 1
+        assert told.odds == pytest.approx(log_odds(norms[0], norms[rival], len(pairs)), rel=1e-9)
+        compared += rival > 1
+    assert gps == LEAST or compared > 2  # runners-up that differ in GLONASS alone are common
+
+
+def test_a_witness_helps_and_does_not_mislead():
+    """With the slope unknown GLONASS makes right integers clear where GPS alone and both together do not, and wrong ones hardly ever."""
+    rng, clear, wrong = np.random.default_rng(2), np.zeros(3, np.int64), 0
+    for _ in range(60):
+        f, everything = floating(rng)
+        alone = Candidates(*(column[:GPS] for column in everything))
+        told = witnessed(f, everything)
+        searches = (search(f, alone, np.nan, 0.01), search(f, everything, np.nan, 0.01), told)
+        clear += [s.odds >= ASKED_OF_WITNESSED for s in searches]
+        true = TRUE[told.pairs[:, 0] - DYNAMIC - 1] - TRUE[told.pairs[:, 1] - DYNAMIC - 1]
+        wrong += int(told.odds >= ASKED_OF_WITNESSED and (told.integers != true).any())
+    assert clear[2] > 1.5 * max(clear[0], clear[1])
+    assert wrong == 0
+
+
+def test_what_is_asked_follows_the_codes():
+    """Nothing known: fair codes; residuals of survey antennas and of streets move it; far away what is asked anywhere is asked."""
+    scale, here = new_code_scale(), np.zeros(12)
+    assert code_level(scale) == 1.0
+    assert asked_odds(code_level(scale), False, here) == ACCEPT_AT_ONCE
+    assert asked_odds(code_level(scale), True, here) == ASKED_OF_WITNESSED
+    trial = np.zeros((2, scale.shape[1]))
+    trial[:, 0] = 0.05 * 20.0, 20.0
+    learn_codes(scale, trial)
+    assert code_level(scale) == pytest.approx(4.0 / 23.0)
+    assert asked_odds(code_level(scale), False, here) == asked_odds(code_level(scale), True, here) == ASKED_OF_SURVEY_CODES
+    trial[:, 2] = 6.0 * 20.0, 20.0
+    learn_codes(scale, trial)
+    assert code_level(scale) > FAIR_CODES
+    assert asked_odds(code_level(scale), True, here) == ACCEPT_AT_ONCE
+    assert asked_odds(0.1, False, np.array([0.6e3, 0.8e3, 0.0])) == pytest.approx(1.1 * ASKED_OF_SURVEY_CODES)
+    assert asked_odds(0.1, False, np.array([6e3, 8e3, 0.0])) == ACCEPT_AT_ONCE
+
+
+@settings(deadline=None)
+@given(st.floats(0.02, 30.0), st.booleans(), st.floats(0.0, 50e3), st.floats(1.0, 2.0), st.floats(0.0, 10e3))
+def test_worse_codes_and_longer_baselines_never_ask_for_less(level, told, length_m, worse, further_m):
+    """Monotonous in both, never more than what one search must have anywhere."""
+    near, far = np.array([0.0, length_m, 0.0]), np.array([0.0, length_m + further_m, 0.0])
+    asked = asked_odds(level, told, near)
+    assert ASKED_OF_SURVEY_CODES <= asked <= ACCEPT_AT_ONCE
+    assert asked_odds(level * worse, told, near) >= asked
+    assert asked_odds(level, told, far) >= asked
