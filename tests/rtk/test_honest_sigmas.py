@@ -54,9 +54,10 @@ def test_simulated_open_sky(sigmas: ModuleType, name: str, fix: tuple[float, flo
 
 
 # Recording, the same. Behind the fixes 0.77, 0.53 and 1.49: of the second the mean of its own fixes is the truth, and what its multipath
-# does in five minutes is 0.54 of all of it. Behind the floats 0.67, 2.2 (five satellites: residuals see little of their codes) and 1.66.
+# does in five minutes is 0.54 of all of it. Behind the floats 0.40 (0.67 without what
+# the places of codes say: they scatter by 1.2 there), 2.2 (five satellites: residuals see little of their codes) and 1.66.
 RECORDED = [
-    ("kanagawa_60s", (0.7, 1.5), (0.5, 1.5)),
+    ("kanagawa_60s", (0.7, 1.5), (0.35, 1.5)),
     ("tokyo_static_l1gps", (0.4, 1.5), (0.7, 2.8)),
     ("geonet_2005", (0.7, 1.6), (0.7, 2.2)),
 ]

@@ -168,14 +168,15 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if not outcome.ok or not is_finite(f.x, f.P):
         return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
     remember(f, d, layout, outcome.phase_used, time_s)
-    float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, time_s - known.times_s[2], model_ecef_m)
+    modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
+    float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, step_s, model_ecef_m, modelled_m)
     resolution, sure = not_resolved(), False
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         confirmed = known.memory[CONFIRMED]
         free = decide(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
         if length_m > INFORMED_FROM_M and not setup.slip.base_moves:
-            motion = Motion(known.times_s, expected, model_ecef_m - known.base_ecef_m, known.velocity_mps, known.velocity_cov_m2ps2)
+            motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2)
             use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
             settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
             resolution, informed, norm = settled.resolution, settled.informed, settled.norm
@@ -191,7 +192,6 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     if resolution.fixed:
         known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
-    modelled_m = model_ecef_m - known.base_ecef_m
     guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, modelled_m)
     if resolution.fixed and guarded.wrong > setup.failure_rate:
         resolution = withheld(resolution)
