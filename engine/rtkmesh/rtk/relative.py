@@ -11,6 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
+from rtkmesh.rtk.agreement import note_fix
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, begin_informed, settle
@@ -180,12 +181,14 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
             use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
             settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
             resolution, informed, norm = settled.resolution, settled.informed, settled.norm
+            note_agreement(known.memory, confirmed, time_s)
         else:
+            note_agreement(known.memory, confirmed, time_s)
             resolution = fix(f, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
             norm = resolution.norm
             if len(informed.keys) > 0:  # the rover has come near
                 informed, known.memory[INFORMED] = begin_informed(f), 0.0
-        note_agreement(known.memory, confirmed, time_s)
+        note_fix(known.memory, resolution.fixed, time_s)
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
         if sure:
             squares = (outcome.phase_chi2 + norm) * phase_factor(known.scale)
