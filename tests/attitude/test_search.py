@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations, product
 from math import log, radians
 
@@ -11,6 +12,7 @@ import pytest
 from rtkmesh.attitude.rigid_body import Layout, baselines, fit
 from rtkmesh.attitude.rotation import rotation_of, rotation_of_angles, vector_of
 from rtkmesh.attitude.search import Candidates, Expectation, Verdict, choose, closure, joint_covariance
+from rtkmesh.gnss.signals import BEIDOU
 from rtkmesh.models.odds import SURENESS, log_odds
 from rtkmesh.simulation.scenario import SCENARIOS
 
@@ -186,3 +188,14 @@ def test_what_would_take_too_long_is_not_sure() -> None:
     choice = choose(BOAT, tables)
     assert not choice.accepted
     assert choice.other == choice.cost
+
+
+def test_geostationary_satellites_of_beidou_close_among_themselves() -> None:
+    """They have a clock of their own: what their integers are off by, all alike, is nothing."""
+    tables = closed()
+    numbers = np.array([BEIDOU * 64 + 6, BEIDOU * 64 + 7, BEIDOU * 64 + 8, BEIDOU * 64 + 1, BEIDOU * 64 + 3], np.int16)
+    for shift, different in (([3, 3], 0), ([3, 4], 1)):
+        integers = tables[2].integers + np.array([[0, 0, 0, *shift]])
+        given = [replace(table, satellite=numbers, integers=table.integers) for table in tables[:2]]
+        given.append(replace(tables[2], satellite=numbers, integers=integers))
+        assert closure(given, (0, 0, 0)) == (different, 3)

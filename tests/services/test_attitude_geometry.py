@@ -142,6 +142,22 @@ def test_what_is_not_sure_is_not_taken() -> None:
         assert message.geometry not in ("", "accepted")
 
 
+def test_an_antenna_without_a_right_candidate_is_left_out() -> None:
+    """No combination of all fits: three antennas give the attitude, and what became of the fourth is said."""
+    vehicle = Vehicle()
+    for name in vehicle.baselines:
+        vehicle.say(name, floating(vehicle, name, 10.0))
+        vehicle.say(name, vehicle.candidates(name, 10.0, right=name != "ad"))
+    [message] = vehicle.attitudes()
+    assert is_right(message)
+    assert (message.integrity, message.geometry) == ("ok", "accepted")
+    assert message.sources == {"ab": "geometry", "ac": "geometry"}
+    assert message.antennas_used == ["a", "b", "c"]
+    assert message.sources_missing == {"ad": "integers of ad do not fit with the others"}
+    assert 0.0 < message.geometry_wrong_probability < 0.01
+    assert vehicle.service.report().counters["geometry_without_one"] == 1
+
+
 def test_it_can_be_switched_off() -> None:
     vehicle = Vehicle(geometry=False)
     for name in vehicle.baselines:

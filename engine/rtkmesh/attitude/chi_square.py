@@ -1,5 +1,6 @@
 """The chi-square distribution for whole degrees of freedom, in closed form (Abramowitz and Stegun 26.4.4 and 26.4.5)."""
 
+from functools import lru_cache
 from math import erfc, exp, inf, nan, pi, sqrt
 from typing import Final
 
@@ -20,6 +21,7 @@ def chi_square_tail(value: float, degrees: int) -> float:
     return min(1.0, exp(-half) * total + (erfc(sqrt(half)) if odd else 0.0))
 
 
+@lru_cache(maxsize=256)  # asked for in every epoch
 def chi_square_limit(tail: float, degrees: int) -> float:
     """Return the value that chi-square exceeds with probability ``tail`` (in (0, 1)); infinite without freedom."""
     if degrees < 1:

@@ -103,12 +103,13 @@ def levels(layout: Layout, measured: Measured, verdict: Judged, guarding: Guardi
     model = _model(layout, measured, found)
     hypotheses = _hypotheses(layout, measured, verdict, faults, guarding.risk)
     share = 0.5 * guarding.risk / max(len(hypotheses), 1)
+    asked = [hypothesis for hypothesis in hypotheses if hypothesis.prior > share]
+    others, turn = _without(model, [gone for _, gone in asked]), angles_per_error(model.rotation)
     level, left_open = _own_level(found, guarding), set[int]()
-    for prior, gone in hypotheses:
-        if prior > share:
-            bound = _bound(model, gone, widening(prior, share), guarding.unseen_sigma_rad)
-            left_open |= {*gone} if np.isinf(bound).any() else set()
-            level = np.maximum(level, bound)
+    for prior, gone in asked:
+        bound = _bound(turn, others[gone], widening(prior, share), guarding.unseen_sigma_rad)
+        left_open |= {*gone} if np.isinf(bound).any() else set()
+        level = np.maximum(level, bound)
     seen = np.isfinite(np.diag(angles_covariance(found, guarding.unseen_sigma_rad)))
     excluded = set(_numbers(layout, verdict.excluded))
     return Levels(np.where(seen, level, nan), tuple(layout.names[i] for i in sorted(left_open - excluded)))
@@ -168,12 +169,13 @@ def _sigmas(turn: Matrix, cov: Matrix, unseen: Vector | None, unseen_sigma_rad: 
     return np.sqrt(np.maximum(variances, 0.0))
 
 
-def _bound(model: _Model, gone: tuple[int, ...], scale: float, unseen_sigma_rad: float) -> Vector:
-    """Return how far angles may be off if these antennas are at fault; infinite where nothing is left to tell."""
-    other = _without(model, gone)
+def _bound(turn: Matrix, other: _Other | None, scale: float, unseen_sigma_rad: float) -> Vector:
+    """Return how far angles may be off if the ``other`` attitude is not touched; infinite where there is none.
+
+    ``turn``: derivative of the angles by the rotation's error.
+    """
     if other is None:
         return np.full(3, inf)
-    turn = angles_per_error(model.rotation)
     return np.abs(turn @ other.turn_rad) + scale * _sigmas(turn, other.cov, other.unseen, unseen_sigma_rad)
 
 
@@ -194,29 +196,41 @@ def _per_axis(weights: Matrix) -> Matrix:
     return np.einsum("kn,ab->kanb", weights, np.eye(3)).reshape(3 * len(weights), -1)
 
 
-def _without(model: _Model, gone: tuple[int, ...]) -> _Other | None:
-    """Return the attitude when some antennas may be anywhere; None where that leaves more than one direction open.
+def _without(model: _Model, sets: Sequence[tuple[int, ...]]) -> dict[tuple[int, ...], _Other | None]:
+    """Return the attitudes when each of these sets of antennas may be anywhere; None where that leaves more than one direction open."""
+    found: dict[tuple[int, ...], _Other | None] = {}
+    for size in dict.fromkeys(len(gone) for gone in sets):
+        alike = list(dict.fromkeys(gone for gone in sets if len(gone) == size))
+        found |= dict(zip(alike, _without_each(model, np.array(alike, np.int64)), strict=True))
+    return found
+
+
+def _without_each(model: _Model, sets: NDArray[np.int64]) -> list[_Other | None]:
+    """Return the attitudes without each row (m antennas) of ``sets``, all at once.
 
     Where they are, and the origin, is eliminated from the normal equations (Schur complement).
     """
     n, told = len(model.information), model.information
-    free = [k for i in gone for k in range(3 * i, 3 * i + 3)] + [*range(3 * model.antennas, n - 4)]
-    rows = told[free]
-    values, vectors = np.linalg.eigh(rows[:, free])
-    kept = values > _SAME * values[-1]
-    projected = vectors[:, kept].T @ rows[:, n - 4 :]
-    reduced = told[n - 4 :, n - 4 :] - (projected.T / values[kept]) @ projected
-    return _solved(model.rotation, reduced, float(np.trace(told[n - 4 : n - 1, n - 4 : n - 1])))
+    places = (3 * sets[:, :, None] + np.arange(3)).reshape(len(sets), -1)
+    origin = np.arange(3 * model.antennas, n - 4)
+    free = np.hstack([places, np.broadcast_to(origin, (len(sets), len(origin)))])
+    values, vectors = np.linalg.eigh(told[free[:, :, None], free[:, None, :]])
+    kept = values > _SAME * values[:, -1:]
+    projected = vectors.swapaxes(1, 2) @ told[free, n - 4 :]
+    weighted = projected * np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)[:, :, None]
+    reduced = told[n - 4 :, n - 4 :] - projected.swapaxes(1, 2) @ weighted
+    scale = float(np.trace(told[n - 4 : n - 1, n - 4 : n - 1]))
+    values, vectors = np.linalg.eigh(reduced[:, :3, :3])
+    return [_solved(model.rotation, *row, scale) for row in zip(values, vectors, reduced[:, :3, 3], strict=True)]
 
 
-def _solved(rotation: Matrix, reduced: Matrix, scale: float) -> _Other | None:
-    """Return the solution of reduced normal equations (4x4: rotation and right-hand side); ``scale``: of the information of all."""
-    values, vectors = np.linalg.eigh(reduced[:3, :3])
+def _solved(rotation: Matrix, values: Vector, vectors: Matrix, right: Vector, scale: float) -> _Other | None:
+    """Return the solution of normal equations of a rotation by their eigenvalues; ``scale``: of the information of all."""
     seen = values > _UNSEEN * scale
     if int(seen.sum()) < 2:
         return None
     cov = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    turn = cov @ reduced[:3, 3]
+    turn = cov @ right
     if seen.all():
         return _Other(turn, cov, None)
     unseen = vectors[:, 0]

@@ -221,13 +221,15 @@ def _refined(layout: Layout, measured: Measured, body: Matrix, shape: Shape, sta
     line = _line(body, share) if shape is Shape.LINE else None
     rotation, origin = start, _first_origin(measured, body, start) if absolute else np.zeros(3)
     weight, cov, step, share_of_step = np.eye(0), np.eye(0), np.full(3, np.inf), 1.0
-    for _ in range(_STEPS):
-        weight = np.linalg.inv(misfit_covariance(layout, measured, rotation))
-        jacobian = jacobian_of(body @ rotation.T, share, absolute=absolute)
-        residuals = measured.values_ned_m - body @ rotation.T - np.outer(share, origin)
-        seen = _seen_directions(None if line is None else rotation @ line, len(jacobian[0]))
-        cov = seen @ np.linalg.inv(seen.T @ jacobian.T @ weight @ jacobian @ seen) @ seen.T
-        before, step = float(np.abs(step[:3]).max()), cov @ (jacobian.T @ weight @ residuals.ravel())
+    for number in range(_STEPS):
+        if number == 0 or layout.cov_m2 is not None:
+            weight = np.linalg.inv(misfit_covariance(layout, measured, rotation))
+        turned = body @ rotation.T
+        jacobian = jacobian_of(turned, share, absolute=absolute)
+        residuals = measured.values_ned_m - turned - np.outer(share, origin)
+        weighted = jacobian.T @ weight
+        cov = _seen_inverse(weighted @ jacobian, None if line is None else rotation @ line)
+        before, step = float(np.abs(step[:3]).max()), cov @ (weighted @ residuals.ravel())
         if float(np.abs(step[:3]).max()) > _SHRINKING * before:  # large residuals make it overshoot, and swing about the answer
             share_of_step *= 0.5
         step = share_of_step * step
@@ -250,11 +252,17 @@ def _refined(layout: Layout, measured: Measured, body: Matrix, shape: Shape, sta
     )
 
 
-def _seen_directions(unseen: Vector | None, unknowns: int) -> Matrix:
-    """Return an orthonormal basis (unknowns, m) of what can be solved for: all, or the rotations across a line of antennas."""
-    basis = np.eye(unknowns)
+def _seen_inverse(information: Matrix, unseen: Vector | None) -> Matrix:
+    """Return the inverse of an information matrix, without a turn (NED, unit) that is not seen."""
     if unseen is None:
-        return basis
+        return np.linalg.inv(information).astype(np.float64)
+    seen = _seen_directions(unseen, len(information))
+    return seen @ np.linalg.inv(seen.T @ information @ seen) @ seen.T
+
+
+def _seen_directions(unseen: Vector, unknowns: int) -> Matrix:
+    """Return an orthonormal basis (unknowns, m) of what can be solved for: the rotations across a line of antennas, and the origin."""
+    basis = np.eye(unknowns)
     _, _, vt = np.linalg.svd(unseen[None, :])
     across = np.vstack([vt[1:].T, np.zeros((unknowns - 3, 2))])
     return np.hstack([across, basis[:, 3:]])
@@ -262,17 +270,22 @@ def _seen_directions(unseen: Vector | None, unknowns: int) -> Matrix:
 
 def jacobian_of(turned: Matrix, share: Vector, *, absolute: bool) -> Matrix:
     """Return the derivative (3k, 3 or 6) of the predicted vectors by the rotation's error and the origin."""
-    rows = [
-        np.hstack([-skew(vector), weight * np.eye(3)]) if absolute else -skew(vector) for vector, weight in zip(turned, share, strict=True)
-    ]
-    return np.vstack(rows)
+    k = len(turned)
+    out = np.zeros((k, 3, 6 if absolute else 3))
+    out[:, 0, 1], out[:, 1, 2], out[:, 2, 0] = turned[:, 2], turned[:, 0], turned[:, 1]
+    out[:, 1, 0], out[:, 2, 1], out[:, 0, 2] = -turned[:, 2], -turned[:, 0], -turned[:, 1]
+    if absolute:
+        for axis in range(3):
+            out[:, axis, 3 + axis] = share
+    return out.reshape(3 * k, -1)
 
 
 def misfit_covariance(layout: Layout, measured: Measured, rotation: Matrix) -> Matrix:
     """Return the covariance of measured minus predicted: the measurements', and what is not known of the layout."""
     if layout.cov_m2 is None:
         return measured.cov_m2
-    wide = np.kron(measured.weights, rotation)
+    k, n = measured.weights.shape
+    wide = (measured.weights[:, None, :, None] * rotation[None, :, None, :]).reshape(3 * k, 3 * n)
     return measured.cov_m2 + wide @ layout.cov_m2 @ wide.T
 
 

@@ -19,6 +19,7 @@ from rtkmesh.codecs.navigation_words import (
 from rtkmesh.codecs.sbf_observations import u4
 from rtkmesh.codecs.sbf_signals import SATELLITE_OF
 from rtkmesh.codecs.utc import leap_seconds_of
+from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, QZSS, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
@@ -36,7 +37,6 @@ _BLOCKS: Final = {
 NUMBERS: Final = frozenset(_BLOCKS)
 _BITS: Final = 20  # offset of NAVBits in a block
 _SVID, _CRC_PASSED, _CHANNEL = 14, 15, 18
-_GEOSTATIONARY: Final = frozenset((1, 2, 3, 4, 5, 59, 60, 61, 62, 63))
 _GLONASS_FRAME_S: Final = 30.0
 _UNKNOWN_SLOT: Final = 62
 _EVEN_BITS: Final = 114  # of an I/NAV page; the odd part follows at once
@@ -93,7 +93,7 @@ def read_block(data: bytes, kind: str, time: GpsTime | None) -> tuple[int, int, 
         return None
     if satellite == 0 or satellite // SATELLITES_PER_SYSTEM != system:
         return "satellite"
-    if system == BEIDOU and satellite % SATELLITES_PER_SYSTEM in _GEOSTATIONARY:
+    if is_geostationary(satellite):
         message = D2_MESSAGE
     words = np.empty(WORDS, np.int64)
     navigation_words(data, count, message, words)

@@ -4,7 +4,7 @@ Double differences are formed here and nowhere else, within one clock group each
 not matter to any result.
 """
 
-from math import isfinite, sqrt
+from math import isfinite
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.filter import factor, posterior
-from rtkmesh.rtk.lambda_search import OK, bootstrap_success, integer_least_squares
+from rtkmesh.rtk.lambda_search import NOT_POSITIVE_DEFINITE, OK, bootstrap_success, integer_least_squares
+from rtkmesh.rtk.length_search import Given, nearest_of_length
 from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
 
 Vector = NDArray[np.float64]
@@ -21,7 +22,6 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 NODE_LIMIT: Final = 50_000  # some 5 ms; a search that needs more has no clear winner
-CONSTRAINED_CANDIDATES: Final = 40  # how many candidates a known length chooses from
 
 
 class Candidates(NamedTuple):
@@ -80,55 +80,39 @@ def pairs_of(candidates: Candidates) -> Indices:
 
 @kernel
 def search(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: float) -> Search:
-    """Search the integers of all double differences of the candidates.
-
-    A baseline of known length (NaN: unknown) chooses among CONSTRAINED_CANDIDATES of the search.
-    """
+    """Search the integers of all double differences of the candidates; of a baseline of known length (NaN: unknown) with its misfit."""
     pairs, values = pairs_of(candidates), np.full(len(f.keys), np.nan)
-    n, constrained = len(pairs), isfinite(length_m)
-    count = CONSTRAINED_CANDIDATES if constrained else 2
-    fixed, norms = np.zeros((count, n)), np.zeros(count)
+    n = len(pairs)
+    fixed, norms = np.zeros((2, n)), np.zeros(2)
     if n == 0:
         return Search(pairs, fixed[0], values, np.inf, np.inf, 0.0, -np.inf, False)
-    status, success = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)
+    if isfinite(length_m):
+        status, success = search_of_length(f, pairs, length_m, length_sigma_m, fixed, norms)
+    else:
+        status, success = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)
     if status != OK:
         return Search(pairs, fixed[0], values, np.inf, np.inf, success, -np.inf, False)
-    first, second = 0, 1
-    if constrained:
-        for k in range(count):
-            norms[k] += length_norm(f, pairs, fixed[k], length_m, length_sigma_m)
-        first, second = _two_least(norms)
     for k in range(n):
-        values[pairs[k, 1] - DYNAMIC], values[pairs[k, 0] - DYNAMIC] = 0.0, fixed[first, k]
-    odds = log_odds(norms[first], norms[second], n)
-    return Search(pairs, fixed[first].copy(), values, norms[first], norms[second], success, odds, True)
+        values[pairs[k, 1] - DYNAMIC], values[pairs[k, 0] - DYNAMIC] = 0.0, fixed[0, k]
+    odds = log_odds(norms[0], norms[1], n)
+    return Search(pairs, fixed[0].copy(), values, norms[0], norms[1], success, odds, True)
 
 
 @kernel
-def _two_least(values: Vector) -> tuple[int, int]:
-    """Return the places of the two smallest values, of equal ones the first."""
-    first, second = 0, 1
-    if values[1] < values[0]:
-        first, second = 1, 0
-    for k in range(2, len(values)):
-        if values[k] < values[first]:
-            first, second = k, first
-        elif values[k] < values[second]:
-            second = k
-    return first, second
+def search_of_length(f: Filter, pairs: Indices, length_m: float, sigma_m: float, fixed: Matrix, totals: Vector) -> tuple[int, float]:
+    """Search the integers of a baseline of known length: as ``search_pairs``, with the misfit of the length in the squared norms.
 
-
-@kernel
-def length_norm(f: Filter, pairs: Indices, integers: Vector, length_m: float, sigma_m: float) -> float:
-    """Return the squared misfit of the baseline's length given these integers, in sigmas of length and baseline together."""
-    x, P, wanted = np.empty(3), np.empty((3, 3)), np.arange(3)
-    condition(f.x, f.P, pairs, integers, 0.0, wanted, x, P)
-    length = sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
-    variance = sigma_m * sigma_m
-    for i in range(3):
-        for j in range(3):
-            variance += x[i] * P[i, j] * x[j] / max(length * length, 1e-12)
-    return (length - length_m) ** 2 / variance
+    What was not looked at is taken to fit the length: the second total is no larger.
+    """
+    n = len(pairs)
+    a, Q, gain, mean, cov, norms = np.empty(n), np.empty((n, n)), np.zeros((3, n)), np.zeros(3), np.zeros((3, 3)), np.zeros(len(totals))
+    difference(f.x, f.P, pairs, a, Q)
+    if not gain_of(f.x, f.P, pairs, gain, mean, cov):
+        return NOT_POSITIVE_DEFINITE, 0.0
+    given = Given(mean, gain, cov, length_m, sigma_m)
+    status, beyond, success = nearest_of_length(a, Q, given, NODE_LIMIT, fixed, norms, totals)
+    totals[1] = min(totals[1], beyond)
+    return status, success
 
 
 @kernel
@@ -219,6 +203,36 @@ def condition(x: Vector, P: Matrix, pairs: Indices, integers: Vector, slack: flo
                 total -= G[k, i + 1] * G[k, j + 1]
             P_out[i, j], P_out[j, i] = total, total
     return norm
+
+
+@kernel
+def gain_of(x: Vector, P: Matrix, pairs: Indices, gain: Matrix, mean: Vector, cov: Matrix) -> bool:
+    """Write how the baseline follows from integers, mean + gain @ integers, and its covariance; False where nothing can be said."""
+    n = len(pairs)
+    a, Q, U, G = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, 3))
+    difference(x, P, pairs, a, Q)
+    if factor(Q, U) != 0:
+        return False
+    for k in range(n):
+        for i in range(3):
+            G[k, i] = P[i, pairs[k, 0]] - P[i, pairs[k, 1]]
+            for j in range(k):
+                G[k, i] -= U[j, k] * G[j, i]
+            G[k, i] /= U[k, k]
+    for i in range(3):
+        for j in range(3):
+            cov[i, j] = P[i, j]
+            for k in range(n):
+                cov[i, j] -= G[k, i] * G[k, j]
+        for k in range(n - 1, -1, -1):
+            gain[i, k] = G[k, i]
+            for j in range(k + 1, n):
+                gain[i, k] -= U[k, j] * gain[i, j]
+            gain[i, k] /= U[k, k]
+        mean[i] = x[i]
+        for k in range(n):
+            mean[i] -= gain[i, k] * a[k]
+    return True
 
 
 @kernel

@@ -155,7 +155,7 @@ class Rtk:
         """
         if self._state is None or self._satellites is None or self.options.ambiguity.mode is AmbiguityMode.OFF:
             return None
-        return candidate_table(self._state.filter, self._satellites, self._past.memory, self._setup, length)
+        return candidate_table(self._state.filter, self._satellites, self._past.memory, self._past.scale, self._setup, length)
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""

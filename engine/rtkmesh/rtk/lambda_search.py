@@ -7,7 +7,7 @@ ambiguity that is fixed first. Everything is in place in arrays of the caller.
 """
 
 from math import erf, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,6 +207,46 @@ def bootstrap_success(D: Vector, first: int) -> float:
     return success
 
 
+class Decorrelated(NamedTuple):
+    """Float ambiguities ``z`` after the decorrelation, of covariance L' D L, and what takes integers back; ``ok`` where there is one."""
+
+    ok: bool
+    L: Matrix
+    D: Vector
+    z: Vector
+    back: Matrix
+    whole: Vector
+    permutation: NDArray[np.int64]
+
+
+@kernel
+def decorrelate(a: Vector, Q: Matrix) -> Decorrelated:
+    """Return float ambiguities ``a`` (cycles, n) with covariance Q (n x n) in coordinates that are hardly correlated."""
+    n = len(a)
+    L, D, work, back = np.zeros((n, n)), np.zeros(n), Q.copy(), np.zeros((n, n))
+    permutation, z, whole = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
+    if factorize(work, L, D, permutation) != OK:
+        return Decorrelated(False, L, D, z, back, whole, permutation)
+    for i in range(n):
+        whole[i] = np.rint(a[permutation[i]])  # large integers must not cost digits in the transformation
+        z[i] = a[permutation[i]] - whole[i]
+        back[i, i] = 1.0
+    reduce(L, D, back, z)
+    return Decorrelated(True, L, D, z, back, whole, permutation)
+
+
+@kernel
+def restore(candidates: Matrix, there: Decorrelated, fixed: Matrix) -> None:
+    """Write integer vectors (m x n) that were found in decorrelated coordinates as those of the float ambiguities."""
+    n = candidates.shape[1]
+    for c in range(candidates.shape[0]):
+        for j in range(n):
+            total = there.whole[j]
+            for i in range(n):
+                total += there.back[i, j] * candidates[c, i]
+            fixed[c, there.permutation[j]] = total
+
+
 @kernel
 def integer_least_squares(a: Vector, Q: Matrix, node_limit: int, fixed: Matrix, norms: Vector, D: Vector) -> int:
     """Find the integer vectors nearest to the float ambiguities ``a`` (cycles, n) in the metric of their covariance Q (n x n).
@@ -214,27 +254,13 @@ def integer_least_squares(a: Vector, Q: Matrix, node_limit: int, fixed: Matrix, 
     ``fixed`` (m x n) and ``norms`` (m, squared norms) receive the m best, best first; ``D`` (n) the conditional variances after
     decorrelation. Return OK, NOT_POSITIVE_DEFINITE or NODE_LIMIT (then nothing in ``fixed`` is to be used).
     """
-    n, m = len(a), len(norms)
-    L, work, back = np.zeros((n, n)), Q.copy(), np.zeros((n, n))
-    permutation = np.zeros(n, np.int64)
-    for c in range(m):
-        norms[c] = np.inf
-    if factorize(work, L, D, permutation) != OK:
+    there = decorrelate(a, Q)
+    norms[:] = np.inf
+    D[:] = there.D
+    if not there.ok:
         return NOT_POSITIVE_DEFINITE
-    z, whole = np.zeros(n), np.zeros(n)
-    for i in range(n):
-        whole[i] = np.rint(a[permutation[i]])  # large integers must not cost digits in the transformation
-        z[i] = a[permutation[i]] - whole[i]
-        back[i, i] = 1.0
-    reduce(L, D, back, z)
-    candidates = np.zeros((m, n))
-    status = search(L, D, z, 0, node_limit, candidates, norms)
-    if status != OK:
-        return status
-    for c in range(m):
-        for j in range(n):
-            total = whole[j]
-            for i in range(n):
-                total += back[i, j] * candidates[c, i]
-            fixed[c, permutation[j]] = total
-    return OK
+    candidates = np.zeros((len(norms), len(a)))
+    status = search(there.L, there.D, there.z, 0, node_limit, candidates, norms)
+    if status == OK:
+        restore(candidates, there, fixed)
+    return status

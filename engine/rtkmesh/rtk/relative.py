@@ -22,6 +22,7 @@ from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, l
 from rtkmesh.rtk.published import fix_covariance
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
+from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.update import update
@@ -53,7 +54,7 @@ SOLVED, FEW_COMMON, NOT_FINITE = range(3)
 class Setup(NamedTuple):
     """What one engine's options say to kernels: angles in rad, noise parameters as ``residuals`` has them.
 
-    ``antennas`` are of ``models.antenna.join_patterns``, empty where they are not both known.
+    ``antennas`` are of ``models.antenna.join_patterns``, empty where they are not both known; ``by_epoch``: every epoch is by itself.
     """
 
     rules: Rules
@@ -72,6 +73,7 @@ class Setup(NamedTuple):
     integrity: IntegritySetup
     failure_rate: float
     antennas: Vector
+    by_epoch: bool
 
 
 class Known(NamedTuple):
@@ -171,12 +173,13 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     remember(f, d, layout, outcome.phase_used, time_s)
     modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
     float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, step_s, model_ecef_m, modelled_m)
-    resolution, sure = not_resolved(), False
+    resolution, sure, far = not_resolved(), False, length_m > INFORMED_FROM_M and not setup.slip.base_moves
+    sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
-        confirmed = known.memory[CONFIRMED]
-        free = decide(f, candidates, known.memory, setup.resolve, known.prediction, time_s)
-        if length_m > INFORMED_FROM_M and not setup.slip.base_moves:
+        confirmed, sharp = known.memory[CONFIRMED], with_sharper_phases(f, sharper) if sharper < 1.0 else f
+        free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s)
+        if far:
             motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2)
             use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
             settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
@@ -184,8 +187,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
             note_agreement(known.memory, confirmed, time_s)
         else:
             note_agreement(known.memory, confirmed, time_s)
-            resolution = fix(f, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
-            norm = resolution.norm
+            resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
+            norm = held_norm(f, candidates) if sharper < 1.0 else resolution.norm
             if len(informed.keys) > 0:  # the rover has come near
                 informed, known.memory[INFORMED] = begin_informed(f), 0.0
         note_fix(known.memory, resolution.fixed, time_s)
@@ -208,7 +211,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), P, figures, satellites, float_scale * P[:3, :3])
     published = resolution.P
     if len(informed.keys) == 0:
-        published = fix_covariance(f, d, layout, outcome, resolution.P, known.scale, sure, known.base_ecef_m, modelled_m)
+        published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
     return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published)
 
 

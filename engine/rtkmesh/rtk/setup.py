@@ -19,7 +19,7 @@ def setup_of(options: RtkOptions) -> Setup:
         noise.phase_a_m, noise.phase_b_m, noise.code_ratio, noise.ephemeris_m_per_m, options.elevation_mask_rad,
         ambiguity.elevation_mask_rad, float(ambiguity.minimum_lock_epochs), options.dynamics.ambiguity_cyc, options.mode is not Mode.DGPS,
         ambiguity.mode is not AmbiguityMode.OFF, _integrity_setup(options), ambiguity.failure_rate,
-        NO_PATTERNS,
+        NO_PATTERNS, ambiguity.mode is AmbiguityMode.INSTANTANEOUS,
     )  # fmt: skip
 
 

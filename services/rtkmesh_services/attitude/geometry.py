@@ -17,6 +17,7 @@ from rtkmesh.attitude.integrity import Finding, Judged
 from rtkmesh.attitude.joint import Edge
 from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.attitude.search import LEAST_AMBIGUITIES, Choice, Expectation, Verdict, choose
+from rtkmesh.attitude.without_one import choose_without_one
 from rtkmesh_schemas.candidates import CandidatesMessage
 from rtkmesh_services.attitude.matching import MatchedEpoch
 from rtkmesh_services.attitude.readings import FIX, Reading, SourceKind, SourceSpec
@@ -84,13 +85,30 @@ class Geometry:
         self.counts[f"geometry_{choice.verdict.value.replace(' ', '_')}"] += 1
         if choice.accepted:
             return self._taken(epoch.readings, lines, choice)
-        return self._refused(epoch.readings, lines, choice.verdict, around)
+        return self._without_one(epoch.readings, lines, choice) or self._refused(epoch.readings, lines, choice.verdict, around)
 
     def _choice(self, tables: Sequence[Candidates]) -> Choice:
         try:
             return choose(self._layout, tables, self._expected)
         except np.linalg.LinAlgError:  # covariances of a stranger
             return Choice(Verdict.NO_COMBINATION)
+
+    def _without_one(self, readings: dict[str, Reading], lines: _Lines, refused: Choice) -> Chosen | None:
+        """Return the readings with what is chosen without one antenna, its baselines put aside; None where there is no such choice."""
+        try:
+            rest = choose_without_one(self._layout, lines.tables, refused, self._expected)
+        except np.linalg.LinAlgError:  # covariances of a stranger
+            return None
+        if rest is None:
+            return None
+        self.counts["geometry_without_one"] += 1
+        kept = _Lines([lines.readings[i] for i in rest.kept], [lines.tables[i] for i in rest.kept])
+        name = self._layout.names[rest.antenna]
+        for reading in lines.readings:
+            if name in (reading.source.start, reading.source.end):
+                aside = replace(reading, edge=None, reason=f"integers of {reading.source.id} do not fit with the others")
+                readings = readings | {reading.source.id: aside}
+        return self._taken(readings, kept, rest.choice, rest.wrong_probability)
 
     def _lines_of(self, readings: Mapping[str, Reading]) -> list[Reading]:
         """Return the readings of baselines between antennas of the layout."""
@@ -124,9 +142,12 @@ class Geometry:
             return known_baseline(*self._ends(reading), reading.edge.vector_ned_m, reading.edge.cov_m2), told
         return table, told
 
-    def _taken(self, readings: dict[str, Reading], lines: _Lines, choice: Choice) -> Chosen:
-        """Return the readings with the chosen baselines instead of those that are not fixed, or fixed elsewhere."""
-        found, notes = dict(readings), list[str]()
+    def _taken(self, readings: dict[str, Reading], lines: _Lines, choice: Choice, wrong_probability: float | None = None) -> Chosen:
+        """Return the readings with the chosen baselines instead of those that are not fixed, or fixed elsewhere.
+
+        ``wrong_probability`` of the choice, where it is not its own.
+        """
+        found, notes, wrong = dict(readings), list[str](), choice.wrong_probability if wrong_probability is None else wrong_probability
         for reading, table, number in zip(lines.readings, lines.tables, choice.chosen, strict=True):
             vector = table.baselines_ned_m[number]
             if table.known or _is_at(reading, vector):
@@ -134,9 +155,9 @@ class Geometry:
             if _is_fixed(reading):
                 self.counts["fixes_overruled"] += 1
                 notes.append(f"{reading.source.id} was fixed elsewhere")
-            edge = Edge(reading.source.start, reading.source.end, vector, table.cov_ned_m2, wrong=choice.wrong_probability)
+            edge = Edge(reading.source.start, reading.source.end, vector, table.cov_ned_m2, wrong=wrong)
             found[reading.source.id] = replace(reading, edge=edge, reason="", status=FIX, status_name="FIX", chosen=True)
-        return Chosen(found, choice.verdict.value, choice.wrong_probability, notes=tuple(notes))
+        return Chosen(found, choice.verdict.value, wrong, notes=tuple(notes))
 
     def _refused(self, readings: dict[str, Reading], lines: _Lines, verdict: Verdict, around: Closing) -> Chosen:
         """Return the readings as they are, but for a fix that does not close with the others."""
