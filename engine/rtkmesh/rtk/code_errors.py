@@ -4,6 +4,7 @@ A float solution is off by what its ambiguities took from codes, and code multip
 move) more, than the filter thinks, who inflates the codes of every receiver alike. The codes' own position of an epoch has residuals that
 no ambiguity has swallowed. Each ambiguity keeps their mean as the filter averages codes into it, with the variance that the filter believes
 it to have by then. Were the filter right, the squares of these means over their variances would add up to the redundancy of the codes.
+What all codes have in common is in no residual: that is a factor of its own (``code_places``).
 
 GLONASS has no say: its codes are shifted by channel between makes, a lasting error that its learned noise keeps out of the position.
 """
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.rtk.code_places import learn_place, place_factor
 from rtkmesh.rtk.noise import code_factors
 from rtkmesh.rtk.residuals import WAVELENGTH, Differences
 from rtkmesh.rtk.separation import CLOCK, RANGE, UNKNOWNS, Epochwise, Ranges, code_ranges, solve_epoch
@@ -38,19 +40,22 @@ FAR_M: Final = 5e3  # from here on what the atmosphere does to floats, which no 
 
 @kernel
 def float_factor(
-    f: Filter, d: Differences, layout: Layout, update: Update, scale: Matrix, walk_cyc: float, step_s: float, rover_ecef_m: Vector
-) -> float:
-    """Let the ambiguities take this epoch's code residuals; return the factor of the float position's variance, 1 where codes do not say.
+    f: Filter, d: Differences, layout: Layout, update: Update, scale: Matrix, walk_cyc: float, step_s: float, rover_ecef_m: Vector,
+    modelled_m: Vector,
+) -> float:  # fmt: skip
+    """Let the ambiguities take this epoch's code residuals; return the factor of the float position's variance.
 
     ``walk_cyc`` is the filter's random walk of ambiguities (per square root of second), ``step_s`` the time since the last epoch (NaN:
-    none); the differences were modelled for ``rover_ecef_m``.
+    none); the differences were modelled for ``rover_ecef_m``, with ``modelled_m`` as baseline (ECEF).
     """
     geodetic = geodetic_from_ecef(rover_ecef_m)
     turn, factors = enu_from_ecef(geodetic[0], geodetic[1]), code_factors(scale, np.zeros((2, scale.shape[1])))
     codes = code_ranges(d, update.code_used, factors, turn)
     epoch = solve_epoch(codes)
     if not epoch.solved:
-        return 1.0
+        return place_factor(scale)
+    learn_place(scale, epoch, f, modelled_m, turn, step_s)
+    lasting = place_factor(scale)
     squares, count, judged = 0.0, 0, np.zeros(codes.groups, np.bool_)
     for k in range(len(codes.weight)):
         if not codes.weight[k] > 0.0 or layout.ambiguity[k] < 0 or d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
@@ -62,8 +67,8 @@ def float_factor(
         judged[codes.group[k]] = True
     redundancy = count - np.count_nonzero(judged) - UNKNOWNS
     if redundancy <= 0:
-        return 1.0
-    factor, length_m = factor_of(squares, float(redundancy)), sqrt(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2)
+        return lasting
+    factor, length_m = lasting * factor_of(squares, float(redundancy)), sqrt(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2)
     return factor if length_m < FAR_M else max(factor, 1.0)
 
 

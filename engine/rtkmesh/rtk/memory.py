@@ -26,13 +26,13 @@ SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geo
 SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 
 # What is remembered of one filter from epoch to epoch, in the memory of ``resolve``. SLOPE and SLOPE_SIGMA (m) are those of GLONASS phase
-# biases per channel; LAST_* are numbers of the last free search; UNAGREED counts epochs since one gave what is held (``integrity``); truth
-# values are 0.0 and 1.0.
+# biases per channel; LAST_* are numbers of the last free search; UNAGREED counts epochs since one gave what is held (``integrity``),
+# MISSED those since the last fix, at LAST_FIX_S (``agreement``); truth values are 0.0 and 1.0.
 (
     STREAK_START_S, STREAK_EPOCHS, DOUBTS, HELD_SINCE_S, CONFIRMED, SHOWN, SINCE_SEARCH, TRUSTS_GLONASS, GLONASS_VOTES, SLOPE, SLOPE_SIGMA,
-    LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED, UNAGREED,
-) = range(18)  # fmt: skip
-MEMORY: Final = 18
+    LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED, UNAGREED, LAST_FIX_S, MISSED,
+) = range(20)  # fmt: skip
+MEMORY: Final = 20
 
 
 class ResolveSetup(NamedTuple):
@@ -70,7 +70,7 @@ def forget(memory: Vector) -> None:
     """Forget the integers; what was learned of GLONASS belongs to the receivers and stays."""
     kept = memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]]
     memory[:] = 0.0
-    memory[[STREAK_START_S, HELD_SINCE_S]] = inf
+    memory[[STREAK_START_S, HELD_SINCE_S, LAST_FIX_S]] = inf
     memory[LAST_COUNT] = -1.0
     memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]] = kept
 

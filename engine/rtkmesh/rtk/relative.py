@@ -11,6 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
+from rtkmesh.rtk.agreement import note_fix
 from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.code_errors import float_factor
@@ -178,7 +179,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if not outcome.ok or not is_finite(f.x, f.P):
         return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
     remember(f, d, layout, outcome.phase_used, time_s)
-    float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, time_s - known.times_s[2], model_ecef_m)
+    modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
+    float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, step_s, model_ecef_m, modelled_m)
     resolution, sure, far = not_resolved(), False, length_m > INFORMED_FROM_M and not setup.slip.base_moves
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     if setup.resolving:
@@ -188,24 +190,25 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
         free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, level)
         if far:
-            motion = Motion(known.times_s, expected, model_ecef_m - known.base_ecef_m, known.velocity_mps, known.velocity_cov_m2ps2)
+            motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2)
             knowing = _walks(setup, _INFORMED_SIGMA_PPM * length_m, known.memory)
             use = Use(setup.slip, knowing, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
             settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
             resolution, informed, norm = settled.resolution, settled.informed, settled.norm
+            note_agreement(known.memory, confirmed, time_s)
         else:
+            note_agreement(known.memory, confirmed, time_s)
             resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
             norm = held_norm(f, candidates) if sharper < 1.0 else resolution.norm
             if len(informed.keys) > 0:  # the rover has come near
                 informed, known.memory[INFORMED] = begin_informed(f), 0.0
-        note_agreement(known.memory, confirmed, time_s)
+        note_fix(known.memory, resolution.fixed, time_s)
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
         if sure:
             squares = (outcome.phase_chi2 + norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     if resolution.fixed:
         known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
-    modelled_m = model_ecef_m - known.base_ecef_m
     guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, modelled_m)
     if resolution.fixed and guarded.wrong > setup.failure_rate:
         resolution = withheld(resolution)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
-from rtkmesh.rtk.acceptance import search_all, try_new
+from rtkmesh.rtk.acceptance import FAR_M, search_all, try_new
+from rtkmesh.rtk.agreement import DEPARTURE_ALONE, stands_alone
 from rtkmesh.rtk.ambiguity import (
     Candidates,
     Search,
@@ -259,14 +260,19 @@ def fix(
         integers = held_differences(f, pairs)
         norm = condition(f.x, f.P, pairs, integers, 0.0, np.arange(DYNAMIC), x, P)
         sigma_m = sqrt(max(P[0, 0] + P[1, 1] + P[2, 2], 0.0))
+        away = departure(x, P, prediction) if isfinite(prediction[3]) else 0.0
         reason = FIX_OK
         if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
             reason = NOT_VALID
         elif sigma_m > FIX_SIGMA_M:
             reason = TOO_UNCERTAIN
-        elif isfinite(prediction[3]) and departure(x, P, prediction) > DEPARTURE_LIMIT:
+        elif away > DEPARTURE_LIMIT:
             note(f, True, memory, prediction)
             reason = NOT_VALID
+        elif not _is_far(f) and stands_alone(memory, away, time_s):
+            reason = NOT_VALID
+            if away <= DEPARTURE_ALONE:  # not shown, but where the next one is expected from
+                prediction[:3], prediction[3] = x[:3], 0.0
         else:
             grade = 1 + (1 if memory[CONFIRMED] > 0.0 else 0)
             if memory[CONFIRMED] >= STREAK_EPOCHS_LEAST and time_s - memory[HELD_SINCE_S] >= STREAK_S:
@@ -276,6 +282,12 @@ def fix(
     threshold = ratio_for(len(free.pairs), setup.confidence * ACCEPT_AT_ONCE)
     fixed = reason == FIX_OK
     return Resolution(reason, fixed, x, P, ratio, free.odds, threshold, free.success, count if fixed else 0, grade, norm)
+
+
+@kernel
+def _is_far(f: Filter) -> bool:
+    """Return whether the informed filter has a say."""
+    return f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2 > FAR_M**2
 
 
 @kernel
