@@ -16,6 +16,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.integrity import (
+    HIDDEN_FAULT,
     HIDDEN_M,
     INFLATION,
     SATELLITE_FAULT,
@@ -112,11 +113,18 @@ def test_levels_hold_a_bias_of_any_size_on_any_satellite():
 
 
 def test_the_probability_of_wrong_integers():
-    """Falls with the log odds, rises with the baseline and without agreement; never below what data support nor above what they show."""
-    assert wrong_probability(12.0, 0.0, 0.0) == pytest.approx(exp(-8.0))
-    assert wrong_probability(12.0, 0.0, 10e3) == wrong_probability(12.0, 0.0, 50e3) == pytest.approx(exp(-4.0))
-    assert wrong_probability(12.0, 6.0, 0.0) == WRONG_UNAGREED
-    assert (wrong_probability(500.0, 0.0, 0.0), wrong_probability(-inf, 0.0, 0.0)) == (WRONG_LEAST, WRONG_MOST)
+    """Falls with the log odds, sooner with codes of survey antennas, later with the atmosphere between; never below what data support nor
+    above what they show.
+    """
+    patch, survey = 1.0, 0.1
+    assert wrong_probability(12.0, 0.0, 0.0, patch) == pytest.approx(exp(-8.0))
+    assert wrong_probability(12.0, 0.0, 0.0, survey) == pytest.approx(exp(-12.0))
+    assert wrong_probability(12.0, 0.0, 5e3, patch) == pytest.approx(exp(-12.0 / 2.25))
+    for level in (patch, survey, inf):
+        assert wrong_probability(12.0, 0.0, 10e3, level) == pytest.approx(exp(-4.0))
+        assert wrong_probability(12.0, 0.0, 10.1e3, level) == wrong_probability(12.0, 0.0, 50e3, level) == pytest.approx(exp(-6.0))
+        assert wrong_probability(12.0, 6.0, 0.0, level) == WRONG_UNAGREED
+        assert (wrong_probability(500.0, 0.0, 0.0, level), wrong_probability(-inf, 0.0, 0.0, level)) == (WRONG_LEAST, WRONG_MOST)
 
 
 @pytest.mark.parametrize(("dof", "quantile"), [(3.0, 21.108), (10.0, 35.564), (30.0, 66.619)])
@@ -199,7 +207,7 @@ def test_a_weak_geometry_makes_no_sure_fix(scene: tuple[list, np.ndarray, np.nda
     last = solved(scene, RtkOptions(systems=systems))[-1]
     assert last.status is Status.FIX
     assert (max(last.protection_horizontal_m, last.protection_vertical_m) > HIDDEN_M) == hidden
-    assert (1.0 - last.fix_probability >= 7.0 * SATELLITE_FAULT) == hidden
+    assert (1.0 - last.fix_probability >= 7.0 * HIDDEN_FAULT) == hidden
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.rtk import code_errors, published
 from rtkmesh.rtk.noise import PHASE, new_code_scale, phase_factor
 from rtkmesh.rtk.state import ARC_EPOCHS, HISTORY, TAKEN_M, TAKEN_M2
@@ -26,6 +27,17 @@ def test_the_factor_of_fixes_has_bounds():
         for _ in range(100):
             published.learn_fix(scale, squares, 100.0)
         assert published.fix_factor(scale) == bound
+
+
+def test_a_far_fix_is_less_sure_of_its_height_and_of_nothing_else():
+    """By 0.65 mm per km, in the direction that is up at the rover."""
+    base_ecef_m, rng = np.array([3.9e6, 3.0e5, 5.0e6]), np.random.default_rng(6)
+    baseline_m, root = np.array([-2.0e4, 2.5e4, 1.4e4]), 0.01 * rng.normal(size=(3, 3))
+    P = root @ root.T
+    turn = enu_from_ecef_at(base_ecef_m + baseline_m)
+    more = turn @ (published.far_covariance(P, base_ecef_m, baseline_m) - P) @ turn.T
+    expected = np.diag([0.0, 0.0, (0.65e-6 * np.linalg.norm(baseline_m)) ** 2])
+    assert more == pytest.approx(expected, abs=1e-12)
 
 
 def test_what_an_ambiguity_takes_is_the_weighted_mean():

@@ -20,16 +20,15 @@ from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable
-from rtkmesh.models.odds import SURENESS
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.around import Around, Past, at_instant_of
+from rtkmesh.rtk.asked_odds import DOUBLED_M
 from rtkmesh.rtk.bookkeeping import Motion, seed
 from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.informed import INFORMED_FROM_M
-from rtkmesh.rtk.integrity import sureness
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
@@ -339,7 +338,7 @@ class Rtk:
         begun, past = self._begun(around), self._past.copy()
         past.forget()
         solved = self._solved(begun, past, around, self._beginning(around))
-        clear = ACCEPT_AT_ONCE * sureness(state.baseline_m) / SURENESS
+        clear = ACCEPT_AT_ONCE * (1.0 + min(state.baseline_m / DOUBLED_M, 1.0))
         if solved.status != SOLVED or not solved.figures[IS_FIXED] or solved.figures[ODDS] < clear:
             return None
         self._state = begun

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.models.odds import SURENESS
+from rtkmesh.rtk.asked_odds import SURVEY_CODES
+from rtkmesh.rtk.informed import INFORMED_FROM_M
 from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.memory import CONFIRMED, HELD_SINCE_S, INFORMED, UNAGREED
 from rtkmesh.rtk.noise import code_factors, phase_factor
@@ -40,13 +42,18 @@ SATELLITE_FAULT: Final = 1e-3  # prior probability per satellite and epoch of a 
 INFLATION: Final = 2.0  # factor on sigmas: mean squares of normalised errors reach 1.7 (fixes) and 4.5 (floats) on recordings
 FALSE_ALARM_SIGMAS: Final = 3.72  # tests fail sound epochs with 1e-4
 
-SURENESS_FAR: Final = 1.5  # what c grows by until FAR_M: what is left of the atmosphere lasts, so later epochs do not unmask it
-FAR_M: Final = 10e3
+# By what factor log odds are too sure: SURENESS at the base, less with codes of survey antennas, SURENESS_ATMOSPHERE just before FAR_M, as
+# what is left of the atmosphere lasts and later epochs do not unmask it; beyond, ionospheres are states and the odds know of them.
+SURENESS_SURVEY: Final = 1.0
+SURENESS_ATMOSPHERE: Final = 3.0
+SURENESS_FAR: Final = 2.0
+FAR_M: Final = INFORMED_FROM_M
 WRONG_MOST: Final = 0.3  # with no odds at all: what is held has been believed for some reason
 WRONG_UNAGREED: Final = 0.5  # when no free search gave it for UNAGREED_EPOCHS
 UNAGREED_EPOCHS: Final = 5.0  # SEARCH_EVERY: large sets are searched that rarely
 WRONG_LEAST: Final = 1e-6  # nothing supports less
 HIDDEN_M: Final = 0.15  # a level of the phases beyond this: one wrong satellite, by an untold slip, hides a wrong fix from every search
+HIDDEN_FAULT: Final = 1e-4  # per satellite: of such fixes with odds above 10 one of 5800 is wrong (19 satellites)
 
 
 class IntegritySetup(NamedTuple):
@@ -98,19 +105,22 @@ def note_agreement(memory: Vector, confirmed: float, time_s: float) -> None:
 
 
 @kernel
-def sureness(length_m: float) -> float:
-    """Return by what factor log odds are too sure on a baseline of this length."""
-    return SURENESS + SURENESS_FAR * min(length_m / FAR_M, 1.0)
+def sureness(length_m: float, level: float) -> float:
+    """Return by what factor log odds are too sure on a baseline of this length, with codes of this variance factor (``code_level``)."""
+    if length_m > FAR_M:
+        return SURENESS_FAR
+    near = SURENESS_SURVEY if level <= SURVEY_CODES else SURENESS
+    return near + (SURENESS_ATMOSPHERE - near) * length_m / FAR_M
 
 
 @kernel
-def wrong_probability(odds: float, unagreed: float, length_m: float) -> float:
+def wrong_probability(odds: float, unagreed: float, length_m: float, level: float) -> float:
     """Return the probability that the integers of a fix are wrong: by the log odds of the last free search, the epochs since such a search
-    gave what is held, and the length of the baseline.
+    gave what is held, the length of the baseline, and the variance factor of codes.
     """
     if unagreed > UNAGREED_EPOCHS:
         return WRONG_UNAGREED
-    return min(max(exp(-odds / sureness(length_m)), WRONG_LEAST), WRONG_MOST)
+    return min(max(exp(-odds / sureness(length_m, level)), WRONG_LEAST), WRONG_MOST)
 
 
 @kernel
@@ -171,9 +181,11 @@ def protect(levels: Vector, judged: Vector, other: Place, ranges: Ranges, whole:
 @kernel
 def guard(
     f: Filter, d: Differences, layout: Layout, update: Update, resolution: Resolution, scale: Matrix, memory: Vector, setup: IntegritySetup,
-    base_ecef_m: Vector, modelled_m: Vector,
+    level: float, base_ecef_m: Vector, modelled_m: Vector,
 ) -> Guard:  # fmt: skip
-    """Return what integrity finds; ``modelled_m`` is the baseline (ECEF) that the differences were modelled for."""
+    """Return what integrity finds; ``level`` is the variance factor of codes that odds are judged by, ``modelled_m`` the baseline (ECEF)
+    that the differences were modelled for.
+    """
     if not setup.watching:
         return no_guard()
     geodetic, levels = geodetic_from_ecef(base_ecef_m + modelled_m), np.zeros(2)
@@ -187,7 +199,7 @@ def guard(
     fixed = place_in(turn, resolution.x, resolution.P, modelled_m)
     phases = phase_ranges(f, d, layout, update.phase_used, phase_factor(scale), turn)
     by_phases, length_m = solve_epoch(phases), sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2)
-    wrong = wrong_probability(resolution.odds, memory[UNAGREED], length_m)
+    wrong = wrong_probability(resolution.odds, memory[UNAGREED], length_m, level)
     float_test = np.nan
     if setup.independent:
         gap = normalised_square(fixed.enu_m - floating.enu_m, floating.cov_m2 - fixed.cov_m2)
@@ -195,7 +207,7 @@ def guard(
     elif by_codes.solved:
         floating = Place(by_codes.place, by_codes.cov)
     protect(levels, fixed.enu_m, fixed, phases, by_phases, 1.0, 0.5 * setup.risk)
-    hidden = SATELLITE_FAULT * count_runs(phases.satellite) if max(levels[0], levels[1]) > HIDDEN_M else 0.0
+    hidden = HIDDEN_FAULT * count_runs(phases.satellite) if max(levels[0], levels[1]) > HIDDEN_M else 0.0
     protect(levels, fixed.enu_m, floating, codes, by_codes, wrong, 0.5 * setup.risk)
     residual_test = test_of(by_phases.chi2, float(by_phases.dof))
     return Guard(min(wrong + hidden, 1.0), levels[0], levels[1], residual_test, float_test, test_against(fixed, by_codes))

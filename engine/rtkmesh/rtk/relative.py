@@ -20,7 +20,7 @@ from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE, SLOPE_SIGMA, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
-from rtkmesh.rtk.published import fix_covariance
+from rtkmesh.rtk.published import far_covariance, fix_covariance
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
@@ -181,13 +181,14 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     remember(f, d, layout, outcome.phase_used, time_s)
     modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
     float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, step_s, model_ecef_m, modelled_m)
-    resolution, sure, far = not_resolved(), False, length_m > INFORMED_FROM_M and not setup.slip.base_moves
+    resolution, sure, level, far = not_resolved(), False, np.inf, length_m > INFORMED_FROM_M and not setup.slip.base_moves
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         confirmed, sharp = known.memory[CONFIRMED], with_sharper_phases(f, sharper) if sharper < 1.0 else f
         # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
-        level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
+        if not (sharper < 1.0 or isfinite(setup.resolve.length_m)):
+            level = code_level(known.scale)
         free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, level)
         if far:
             motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2)
@@ -209,10 +210,10 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     if resolution.fixed:
         known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
-    guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, modelled_m)
+    guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, level, known.base_ecef_m, modelled_m)
     if resolution.fixed and guarded.wrong > setup.failure_rate:
         resolution = withheld(resolution)
-        guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, known.base_ecef_m, modelled_m)
+        guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, level, known.base_ecef_m, modelled_m)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     describe_guard(guarded, resolution.odds, figures)
@@ -221,7 +222,9 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         P = f.P[:DYNAMIC, :DYNAMIC].copy()
         return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), P, figures, satellites, float_scale * P[:3, :3])
     published = resolution.P
-    if len(informed.keys) == 0:
+    if len(informed.keys) > 0 and len(setup.antennas) == 0:
+        published = far_covariance(resolution.P, known.base_ecef_m, resolution.x[:3])
+    elif len(informed.keys) == 0:
         published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
     return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published)
 
