@@ -84,6 +84,12 @@ def test_a_run_is_the_same_every_time(benchmarks: SimpleNamespace):
     assert first.fix_squares.tobytes() != other.fix_squares.tobytes()
 
 
+@pytest.mark.parametrize(("family", "seed", "run"), [("slips_l1", 21, 12), ("open_m8_l1", 11, 3)])
+def test_glonass_without_a_slope_does_not_mislead_for_long(benchmarks: SimpleNamespace, family: str, seed: int, run: int):
+    """Runs on one band that were wrong for 79 and 56 s because GLONASS phases were assumed to have no slope."""
+    assert benchmarks.campaign.measure(family, seed, run).longest_wrong <= 10
+
+
 @pytest.mark.slow
 def test_every_family_runs_and_is_possible(benchmarks: SimpleNamespace):
     """One run of each: there are epochs to fix, errors are known where there is a solution, a fault is really there."""

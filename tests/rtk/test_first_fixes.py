@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtkmesh.models.odds import log_odds
+from rtkmesh.rtk.acceptance import OPEN_SLOPE_FEW, OPEN_SLOPE_LEAST, bears_out, without_slope
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs
 from rtkmesh.rtk.asked_odds import ASKED_OF_SURVEY_CODES, ASKED_OF_WITNESSED, FAIR_CODES, asked_odds, code_level
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
@@ -81,6 +82,22 @@ def test_a_witness_helps_and_does_not_mislead():
         wrong += int(told.odds >= ASKED_OF_WITNESSED and (told.integers != true).any())
     assert clear[2] > 1.5 * max(clear[0], clear[1])
     assert wrong == 0
+
+
+@pytest.mark.parametrize(("gps", "least"), [(LEAST + 1, OPEN_SLOPE_LEAST), (LEAST, OPEN_SLOPE_FEW)])
+def test_no_slope_is_believed_only_where_an_open_one_gives_the_same_others(gps, least):
+    f, everything = floating(np.random.default_rng(3), gps=gps)
+    straight = search(without_slope(f), everything, np.nan, 0.01)
+    others, glonass = straight.integers.copy(), straight.integers.copy()
+    others[gps - 2] += 1.0
+    glonass[gps - 1] += 1.0
+    enough = straight._replace(odds=least)
+    assert bears_out(f, enough, straight)
+    assert bears_out(f, enough._replace(integers=glonass), straight)
+    assert not bears_out(f, enough._replace(integers=others), straight)
+    assert not bears_out(f, enough._replace(odds=least - 0.01), straight)
+    assert not bears_out(f, enough._replace(resolved=False), straight)
+    assert not bears_out(f, enough, straight._replace(resolved=False))
 
 
 def test_what_is_asked_follows_the_codes():
