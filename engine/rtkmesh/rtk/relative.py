@@ -12,10 +12,11 @@ from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
 from rtkmesh.rtk.agreement import note_fix
+from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.code_errors import float_factor
-from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Use, begin_informed, settle
+from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Settled, Use, begin_informed, settle
 from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE, SLOPE_SIGMA, ResolveSetup
@@ -95,6 +96,17 @@ class Known(NamedTuple):
     velocity_mps: Vector
     velocity_cov_m2ps2: Matrix
     informed_scale: Matrix
+
+
+class Look(NamedTuple):
+    """How integers are looked for: with the informed filter (``far``), at this length of the baseline, with phases whose variance is this
+    factor of the filter's (``sharper``, 1: the same), and codes of this variance factor (``level``, infinite: not known).
+    """
+
+    far: bool
+    length_m: float
+    sharper: float
+    level: float
 
 
 class Solved(NamedTuple):
@@ -181,32 +193,18 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     remember(f, d, layout, outcome.phase_used, time_s)
     modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
     float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, step_s, model_ecef_m, modelled_m)
-    resolution, sure, level, far = not_resolved(), False, np.inf, length_m > INFORMED_FROM_M and not setup.slip.base_moves
+    far = length_m > INFORMED_FROM_M and not setup.slip.base_moves
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
+    # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
+    level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
+    resolution, sure = not_resolved(), False
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
-        confirmed, sharp = known.memory[CONFIRMED], with_sharper_phases(f, sharper) if sharper < 1.0 else f
-        # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
-        if not (sharper < 1.0 or isfinite(setup.resolve.length_m)):
-            level = code_level(known.scale)
-        free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, level)
-        if far:
-            motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2)
-            knowing = _walks(setup, _INFORMED_SIGMA_PPM * length_m, known.memory)
-            use = Use(setup.slip, knowing, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
-            settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
-            resolution, informed, norm = settled.resolution, settled.informed, settled.norm
-            note_agreement(known.memory, confirmed, time_s)
-        else:
-            note_agreement(known.memory, confirmed, time_s)
-            resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
-            norm = held_norm(f, candidates) if sharper < 1.0 else resolution.norm
-            if len(informed.keys) > 0:  # the rover has come near
-                informed, known.memory[INFORMED] = begin_informed(f), 0.0
-        note_fix(known.memory, resolution.fixed, time_s)
+        settled = _find_integers(f, informed, d, candidates, known, setup, Look(far, length_m, sharper, level), expected, modelled_m)
+        resolution, informed = settled.resolution, settled.informed
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
         if sure:
-            squares = (outcome.phase_chi2 + norm) * phase_factor(known.scale)
+            squares = (outcome.phase_chi2 + settled.norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     if resolution.fixed:
         known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
@@ -227,6 +225,32 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     elif len(informed.keys) == 0:
         published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
     return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published)
+
+
+@kernel
+def _find_integers(
+    f: Filter, informed: Filter, d: Differences, candidates: Candidates, known: Known, setup: Setup, look: Look, expected: Vector,
+    modelled_m: Vector,
+) -> Settled:  # fmt: skip
+    """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter."""
+    time_s, confirmed = known.times_s[0], known.memory[CONFIRMED]
+    sharp = with_sharper_phases(f, look.sharper) if look.sharper < 1.0 else f
+    free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, look.level)
+    if look.far:
+        motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2)
+        walks = _walks(setup, _INFORMED_SIGMA_PPM * look.length_m, known.memory)
+        use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
+        settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
+        note_agreement(known.memory, confirmed, time_s)
+        note_fix(known.memory, settled.resolution.fixed, time_s)
+        return settled
+    note_agreement(known.memory, confirmed, time_s)
+    resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
+    note_fix(known.memory, resolution.fixed, time_s)
+    norm = held_norm(f, candidates) if look.sharper < 1.0 else resolution.norm
+    if len(informed.keys) > 0:  # the rover has come near
+        informed, known.memory[INFORMED] = begin_informed(f), 0.0
+    return Settled(resolution, informed, norm)
 
 
 @kernel
