@@ -38,20 +38,18 @@ def scatter(times: float, seed: int, step_s: float = 2.0) -> float:
 
 
 def test_places_that_scatter_as_said_are_worth_one():
-    """Means over 60 s are worth 80 degrees of freedom, so single ones are off by a sixth, LASTING times that; below 1 nothing is said."""
-    found = [scatter(1.0, seed) for seed in range(6)]
-    assert min(found) == 1.0
-    assert np.mean(found) == pytest.approx(1.2, abs=0.2)
+    """Means over 60 s are worth 80 degrees of freedom, so single ones are off by a sixth: less than CHANCE allows."""
+    assert [scatter(1.0, seed) for seed in range(6)] == [1.0] * 6
 
 
 def test_places_that_scatter_more_are_found():
-    """Nine times the variance, less what the start takes from it: 8.7, and of the 7.7 beyond 1 LASTING times as much."""
-    assert np.mean([scatter(9.0, seed) for seed in range(6)]) == pytest.approx(24.0, rel=0.2)
+    """Nine times the variance, less what the start takes from it: 8.7, and of the 7.2 beyond CHANCE LASTING times as much."""
+    assert np.mean([scatter(9.0, seed) for seed in range(6)]) == pytest.approx(37.0, rel=0.2)
 
 
 def test_four_epochs_a_second_are_worth_no_more_than_one_in_two_seconds():
     """Nor less: what an epoch counts for is the time it stands for."""
-    assert scatter(9.0, 0, 0.25) == pytest.approx(24.0, rel=0.2)
+    assert scatter(9.0, 0, 0.25) == pytest.approx(37.0, rel=0.2)
 
 
 def test_a_solution_that_is_the_codes_own_learns_nothing():
@@ -67,7 +65,7 @@ def test_one_epoch_that_is_far_off_is_bounded_and_forgotten():
     """A kilometre for one second; the factors that weigh codes and phases know nothing of it."""
     scale, still = new_code_scale(), solution(np.zeros(3), 0.1 * CODES_M2)
     learn_place(scale, epoch_at([1000.0, 0.0, 0.0]), still, MODELLED_M, TURN, 1.0)
-    assert 1.0 < place_factor(scale) < 60.0
+    assert 1.0 < place_factor(scale) < 100.0
     for _ in range(round(5 * MEMORY_S)):
         learn_place(scale, epoch_at([2.0, 3.0, 5.0]), still, MODELLED_M, TURN, 1.0)
     assert place_factor(scale) < 1.5

@@ -25,9 +25,10 @@ PLACE_SQUARES, PLACE_DOF = 4, 5
 MEMORY_S: Final = 60.0
 CHANGE_S: Final = 2.0  # an epoch that follows sooner sees nearly the same reflections, and counts for less
 PRIOR_DOF: Final = 3.0  # at a factor of 1: little more than an epoch
-# What comes and goes is seen; of what stays the float solution has taken its part. Simulated streets ask for 5, two bad codes for more, one
+# What comes and goes is seen; of what stays the float solution has taken its part. Simulated streets ask for 8, two bad codes for more, one
 # that drifts for 2; under open sky and trees there is nothing to multiply.
-LASTING: Final = 3.0
+LASTING: Final = 5.0
+CHANCE: Final = 1.5  # so much a minute of multipath that lasts for half a minute scatters by chance: a few squares are no mean
 MOST_PER_DOF: Final = 60.0  # one code that is hundreds of metres off is no scatter
 
 
@@ -35,7 +36,7 @@ MOST_PER_DOF: Final = 60.0  # one code that is hundreds of metres off is no scat
 def place_factor(scale: Matrix) -> float:
     """Return by what factor the variance of floats is larger than residuals say, 1 at least, as the places of codes scatter."""
     scatter = (PRIOR_DOF + scale[PHASE, PLACE_SQUARES]) / (PRIOR_DOF + scale[PHASE, PLACE_DOF])
-    return max(1.0, 1.0 + LASTING * (scatter - 1.0))
+    return max(1.0, 1.0 + LASTING * (scatter - CHANCE))
 
 
 @kernel
