@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import GLONASS, SYSTEMS
+from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.ambiguity import Candidates, Search, held_differences, pairs_of, take, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
@@ -27,7 +28,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-INFORMED_FROM_M: Final = 10e3  # nearer, what the atmosphere leaves is below the phases' multipath
+INFORMED_FROM_M: Final = FAR_M  # nearer, what the atmosphere leaves is below the phases' multipath
 NORM_LIMIT: Final = 3.0  # squared norm per integer that is told
 # What an atmosphere may differ by over a baseline, as strain 1: the zenith delay; the slant ionospheres of satellites with held integers,
 # per metre of length and at the base. Right integers ask for 0.3 ppm on nl_35km (90 %: 0.6) and for up to 1.5 on an active day. The limit

@@ -246,23 +246,25 @@ class AtEnd:
 
     def _are_at_rest(self, board: Board) -> bool:
         """Return whether every attitude has told twice since the end that it has taken as many messages, and all of them."""
-        resting = 0
-        for id_ in self._attitudes & set(board.statuses):
-            status, _ = board.statuses[id_]
+        statuses, resting = self._attitude_statuses(board), 0
+        for status in statuses:
             taken = _taken(status)
-            heartbeat, before = self._at_rest.setdefault(id_, (status.heartbeat, -1))
+            heartbeat, before = self._at_rest.setdefault(status.id, (status.heartbeat, -1))
             if before != taken:
-                self._at_rest[id_] = status.heartbeat, taken
+                self._at_rest[status.id] = status.heartbeat, taken
             resting += before == taken and status.heartbeat >= heartbeat + 2
-        return resting == len(self._attitudes & set(board.statuses))
+        return resting == len(statuses)
 
     def _idle_s(self, board: Board) -> float:
         """Return how long no solution has come, and no attitude has taken any, since all receivers ended."""
         solved, now_s = sum(track.count for track in board.solutions.values()), time.monotonic()
-        done = solved + sum(_taken(board.statuses[id_][0]) for id_ in self._attitudes & set(board.statuses))
+        done = solved + sum(map(_taken, self._attitude_statuses(board)))
         if done != self._done:
             self._done, self._idle_since_s = done, now_s
         return now_s - self._idle_since_s
+
+    def _attitude_statuses(self, board: Board) -> list[ServiceStatus]:
+        return [board.statuses[id_][0] for id_ in self._attitudes & set(board.statuses)]
 
 
 def _taken(status: ServiceStatus) -> int:
