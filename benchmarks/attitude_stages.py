@@ -19,7 +19,6 @@ import sys
 import tempfile
 import time
 import tomllib
-from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -38,6 +37,8 @@ from rtkmesh_services.runtime.process import PARENT_VARIABLE
 from rtkmesh_services.runtime.zenoh_bus import ZenohBus, open_bus
 
 FILE: Final = Path(__file__).parents[1] / "config" / "four_receivers.toml"
+FIRST_TOW_S: Final = 200000.0
+START_S: Final = 90.0  # of the processes, on a busy machine
 WARM_S: Final = 20.0
 # stage -> (stamp at its end, what happens in it); it begins at the stamp above it
 STAGES: Final = {
@@ -98,8 +99,8 @@ def run(rate: float, seconds: float) -> dict[str, Any]:
     tables = tomllib.loads(FILE.read_text())
     hub, *ports = rt_load.free_ports(1 + len(tables["ingest"]))
     receivers = dict(zip(tables["ingest"], ports, strict=True))
-    start = GpsTime(GpsTime.from_utc(datetime.now(UTC)).week, 200000.0)  # the base's RTCM does not say its week
-    chunks = [_bytes_of(name, rate, start, int(rate * (WARM_S + seconds))) for name in receivers]
+    start = GpsTime(GpsTime.from_utc(datetime.now(UTC)).week, FIRST_TOW_S)  # the base's RTCM does not say its week
+    chunks = [_bytes_of(name, rate, start, int(rate * (START_S + WARM_S + seconds))) for name in receivers]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "deployment.toml"
         file.write_text(deployment(hub, receivers))
@@ -109,7 +110,7 @@ def run(rate: float, seconds: float) -> dict[str, Any]:
         environment = clean_environment(os.environ, Role.INGEST) | {PARENT_VARIABLE: str(os.getpid())}
         processes = {name: subprocess.Popen([*argv, r, name, str(file), f"{folder}/{name}.json"], env=environment) for r, name in roles}
         try:
-            told = play(chunks, feeds, f"tcp/127.0.0.1:{hub}", rate)
+            told = play(chunks, feeds, f"tcp/127.0.0.1:{hub}", rate, seconds)
         finally:
             for process in reversed(processes.values()):
                 process.send_signal(signal.SIGTERM)
@@ -127,45 +128,30 @@ def _bytes_of(name: str, rate: float, start: GpsTime, epochs: int) -> list[bytes
     return [next(stream).data for _ in range(epochs)]
 
 
-def play(chunks: list[list[bytes]], feeds: list[Any], hub: str, rate: float) -> dict[str, Any]:
-    """Send epochs at their instants; return when each was sent, when its attitude came and what it said."""
-    sent, told = list[int](), list[tuple[AttitudeMessage, int]]()
+def play(chunks: list[list[bytes]], feeds: list[socket.socket], hub: str, rate: float, seconds: float) -> dict[str, Any]:
+    """Send epochs at their instants, from the start on; return when each was sent, which is the first that counts, what attitudes came."""
+    sent, told, first = list[int](), list[tuple[AttitudeMessage, int]](), -1
     with open_bus("attitude_stages", (hub,), timeout_s=CONNECT_S) as bus:
 
         def take(sample: Any) -> None:
             told.append((decode(AttitudeMessage, sample.payload, sample.encoding), sample.received_mono_ns))
 
         bus.subscribe(ATT.expression(), take)
-        _wait_for(bus)
-        connections = [_newest(feed) for feed in feeds]
+        connections = [feed.accept()[0] for feed in feeds]
         begun = time.monotonic()
         for number, epoch in enumerate(zip(*chunks, strict=True)):
+            if first < 0 and "boat" in bus.live():
+                first = number + round(rate * WARM_S)
+            if 0 <= first <= number - rate * seconds:
+                break
             time.sleep(max(0.0, begun + number / rate - time.monotonic()))
             for connection, data in zip(connections, epoch, strict=True):
                 connection.sendall(data)
             sent.append(time.monotonic_ns())
         time.sleep(1.0)
-    return {"sent": sent, "told": told, "rate": rate}
-
-
-def _newest(feed: socket.socket) -> socket.socket:
-    """Return the connection that an ingest has now: one that is silent for long is given up for another."""
-    connection, _ = feed.accept()
-    feed.setblocking(False)
-    with suppress(BlockingIOError):
-        while True:
-            connection, _ = feed.accept()
-    connection.setblocking(True)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return connection
-
-
-def _wait_for(bus: ZenohBus) -> None:
-    deadline = time.monotonic() + 2.0 * CONNECT_S
-    while "boat" not in bus.live() or len(bus.live()) < 12:
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"the attitude did not start within {2.0 * CONNECT_S:.0f} s")
-        time.sleep(0.1)
+    if first < 0:
+        raise TimeoutError(f"the attitude did not start within {START_S:.0f} s")
+    return {"sent": sent, "told": told, "rate": rate, "first": first}
 
 
 def quantiles(stamps: Stamps, told: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
@@ -175,7 +161,7 @@ def quantiles(stamps: Stamps, told: dict[str, Any], tables: dict[str, Any]) -> d
     def number(tow_s: float) -> int:
         return round(tow_s * rate)  # receivers' tags are up to a millisecond off
 
-    begin = min(number(tow_s) for tow_s in stamps[f"{next(iter(tables['ingest']))}.read"])
+    begin = number(FIRST_TOW_S)
     rows: dict[str, dict[int, int]] = {"user.sent": {begin + k: ns for k, ns in enumerate(told["sent"])}}
     rows["user.arrived"] = {number(m.tow_s): ns for m, ns in good}
     for role, kinds in (("ingest", ("read", "put")), ("solver", ("put",))):
@@ -184,9 +170,9 @@ def quantiles(stamps: Stamps, told: dict[str, Any], tables: dict[str, Any]) -> d
             rows[f"{role}s.{kind}"] = {k: max(of[k] for of in each) for k in set.intersection(*(set(of) for of in each))}
     for key in (key for key in stamps if key.startswith("boat.")):
         rows[key] = {number(tow_s): ns for tow_s, ns in stamps[key].items()}
-    complete = sorted(k for k in set.intersection(*(set(of) for of in rows.values())) if k - begin > rate * WARM_S)
+    complete = sorted(k for k in set.intersection(*(set(of) for of in rows.values())) if k - begin >= told["first"])
     columns = {key: np.array([of[k] for k in complete]) for key, of in rows.items()}
-    result: dict[str, Any] = {"epochs": len(complete), "sent": len(told["sent"]) - round(rate * WARM_S)}
+    result: dict[str, Any] = {"epochs": len(complete), "sent": len(told["sent"]) - told["first"]}
     start = "user.sent"
     for stage, (end, _) in STAGES.items():
         result[stage] = figures(columns[end] - columns[start])
