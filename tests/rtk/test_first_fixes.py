@@ -11,8 +11,8 @@ from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, sear
 from rtkmesh.rtk.asked_odds import ASKED_OF_SURVEY_CODES, ASKED_OF_WITNESSED, FAIR_CODES, asked_odds, code_level
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
 from rtkmesh.rtk.noise import learn_codes, new_code_scale
-from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEY, Filter
-from rtkmesh.rtk.witness import KEYS_PER_SATELLITE, LEAST, RIVALS, witnessed
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, KEYS_PER_SATELLITE, SLOPE_KEY, Filter
+from rtkmesh.rtk.witness import LEAST, RIVALS, witnessed
 
 WAVELENGTH_M = 0.19
 SLOPE_SIGMA_M = 0.03

@@ -10,14 +10,13 @@ from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, Search, pairs_of, search_pairs
 from rtkmesh.rtk.lambda_search import OK
-from rtkmesh.rtk.state import DYNAMIC, Filter
+from rtkmesh.rtk.state import DYNAMIC, KEYS_PER_SATELLITE, Filter
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 LEAST: Final = 6  # integers of the others: those of five are lost with one, and GLONASS's own, which would stay, are not held
 RIVALS: Final = 8  # vectors among which the first with other integers of the others is looked for
-KEYS_PER_SATELLITE: Final = 262144
 
 
 @kernel
