@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import add_constraints, choose_references, compare_integers, condition, difference
 from rtkmesh.rtk.filter import OK, posterior
 from rtkmesh.rtk.memory import confidence
-from rtkmesh.rtk.state import KEYS_PER_SATELLITE
 
 N = 9
 

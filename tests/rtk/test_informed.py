@@ -5,12 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.rtk import informed
 from rtkmesh.rtk.ambiguity import held_differences, tell
 from rtkmesh.rtk.bookkeeping import relax
 from rtkmesh.rtk.matching import Pairs
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, DIFFERENCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
-from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, KEYS_PER_SATELLITE, USUAL_M, ZENITH_KEY, Filter
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, USUAL_M, ZENITH_KEY, Filter
 
 
 def differences(satellites, seed=0):

@@ -20,6 +20,7 @@ MAX_SATELLITE: Final = len(SYSTEMS) * SATELLITES_PER_SYSTEM
 ATTRIBUTES: Final = 26
 MAX_SIGNAL: Final = 10 * ATTRIBUTES
 SIGNALS_PER_SATELLITE: Final = 512  # more than there are signal numbers: satellite * this + signal is a key of both
+KEYS_PER_SATELLITE: Final = SIGNALS_PER_SATELLITE**2  # a pair's key: (satellite * 512 + rover signal) * 512 + base signal
 NO_CHANNEL: Final = 127  # GLONASS frequency channel not known (or not GLONASS)
 
 

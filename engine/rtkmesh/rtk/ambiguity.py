@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.filter import factor, posterior
 from rtkmesh.rtk.lambda_search import NOT_POSITIVE_DEFINITE, OK, bootstrap_success, integer_least_squares
 from rtkmesh.rtk.length_search import Given, nearest_of_length
-from rtkmesh.rtk.state import DYNAMIC, INTEGER, KEYS_PER_SATELLITE, Filter
+from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

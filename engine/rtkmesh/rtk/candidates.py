@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.beidou import is_geostationary
-from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM, SBAS, SIGNALS_PER_SATELLITE
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SBAS, SIGNALS_PER_SATELLITE
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, difference, gain_of, pairs_of
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.length_search import Given, nearest_of_length
@@ -19,7 +19,7 @@ from rtkmesh.rtk.memory import TRUSTS_GLONASS
 from rtkmesh.rtk.relative import Setup
 from rtkmesh.rtk.single_epoch import sharpness, with_sharper_phases
 from rtkmesh.rtk.solution import T_ELEVATION_RAD, T_LOCK_EPOCHS, T_STATE, USED_PHASE, SatelliteTable
-from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, KEYS_PER_SATELLITE, SEEN_S, Filter
+from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, SEEN_S, Filter
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

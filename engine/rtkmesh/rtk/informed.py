@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM, SYSTEMS
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.ambiguity import Candidates, Search, held_differences, pairs_of, take, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, PHASE, Differences
 from rtkmesh.rtk.slips import SlipSetup
-from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, KEYS_PER_SATELLITE, SLOPE_KEY, ZENITH_KEY, Filter, place_of
+from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, SLOPE_KEY, ZENITH_KEY, Filter, place_of
 from rtkmesh.rtk.update import update
 from rtkmesh.rtk.validation import Resolution, fix, norm_of, note
 

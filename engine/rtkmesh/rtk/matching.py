@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.epoch import Signals
-from rtkmesh.gnss.signals import ATTRIBUTES, SATELLITES_PER_SYSTEM, SIGNALS_PER_SATELLITE, SYSTEMS, allowed_satellites
-from rtkmesh.rtk.state import KEYS_PER_SATELLITE
+from rtkmesh.gnss.signals import ATTRIBUTES, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SIGNALS_PER_SATELLITE, SYSTEMS, allowed_satellites
 
 Vector = NDArray[np.float64]
 Indices = NDArray[np.int64]

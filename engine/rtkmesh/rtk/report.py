@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Epoch
-from rtkmesh.gnss.signals import SIGNALS_PER_SATELLITE
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SIGNALS_PER_SATELLITE
 from rtkmesh.models.code_selection import USED
 from rtkmesh.models.single import Located, SingleStatus
 from rtkmesh.models.single_adjustment import CONVERGED
@@ -52,7 +52,6 @@ from rtkmesh.rtk.state import (
     DYNAMIC,
     FIRST_PAIR_KEY,
     INTEGER,
-    KEYS_PER_SATELLITE,
     REJECTS,
     SLIPS,
     SLOPE_KEY,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import GLONASS, MAX_SATELLITE, SATELLITES_PER_SYSTEM, SIGNALS_PER_SATELLITE
+from rtkmesh.gnss.signals import GLONASS, MAX_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.code_arcs import new_codes
 from rtkmesh.rtk.filter import merge_keys, rearrange
@@ -20,7 +20,6 @@ Indices = NDArray[np.int64]
 ZENITH_KEY: Final = 0
 SLOPE_KEY: Final = GLONASS * SATELLITES_PER_SYSTEM  # GLONASS satellite number 0: no satellite
 FIRST_PAIR_KEY: Final = MAX_SATELLITE  # below: ionosphere states (satellite numbers), the GLONASS slope and the zenith delay
-KEYS_PER_SATELLITE: Final = SIGNALS_PER_SATELLITE**2  # a pair's key: (satellite * 512 + rover signal) * 512 + base signal
 
 # Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last
 # phases minus model (m), ISSUE the ephemeris they were made with; ARC_EPOCHS counts epochs since the ambiguity was begun anew, REJECTS

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, Search, pairs_of, search_pairs
 from rtkmesh.rtk.lambda_search import OK
-from rtkmesh.rtk.state import DYNAMIC, KEYS_PER_SATELLITE, Filter
+from rtkmesh.rtk.state import DYNAMIC, Filter
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
