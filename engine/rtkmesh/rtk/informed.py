@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import GLONASS, SYSTEMS
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.ambiguity import Candidates, Search, held_differences, pairs_of, take, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
@@ -43,7 +43,7 @@ _START_M: Final = 0.5  # sigma of each coordinate that a new filter adds to the 
 
 class Motion(NamedTuple):
     """What an epoch knows beside its differences: times and the expected step as ``find_slips`` has them, where the differences were
-    modelled (baseline, m), the Doppler velocity relative to the base with its covariance (NaN without).
+    modelled (baseline, m), the Doppler velocity relative to the base with its covariance (NaN without), how long ago each code was seen.
     """
 
     times_s: Vector
@@ -51,6 +51,7 @@ class Motion(NamedTuple):
     modelled_m: Vector
     velocity_mps: Vector
     velocity_cov_m2ps2: Matrix
+    code_since_s: Vector
 
 
 class Use(NamedTuple):
@@ -126,7 +127,7 @@ def with_states(d: Differences, shift_ecef_m: Vector) -> Differences:
             nearer_m += d.rover_direction[k, i] * shift_ecef_m[i]
         table[k, CODE] += nearer_m
         table[k, PHASE] += nearer_m
-        if d.pairs.satellite[k] // 64 == GLONASS:
+        if d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
             table[k, CODE_VARIANCE] += _GLONASS_CODE_M**2
     return Differences(
         d.pairs, table, d.rover_direction, d.base_direction, d.azimuth_rad, d.issue, d.flagged, d.half_cycle, d.lock_s, d.base_s
@@ -147,7 +148,7 @@ def inform(before: Filter, witness: Filter, d: Differences, motion: Motion, use:
     """Update the filter by an epoch that the witness has been updated by, and tell it the integers that the witness holds."""
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     sharp = with_states(d, before.x[:3] - motion.modelled_m)
-    arranged = lay_out(before, sharp, motion.times_s, use.slip, motion.expected, use.walks, True, 2)
+    arranged = lay_out(before, sharp, motion.code_since_s, motion.times_s, use.slip, motion.expected, use.walks, True, 2)
     f, layout = arranged.filter, arranged.layout
     outcome = update(f, sharp, layout, use.scale, motion.velocity_mps, motion.velocity_cov_m2ps2)
     candidates = find_candidates(f, sharp, layout, outcome.phase_used, use.mask_rad, use.least_epochs)
@@ -174,11 +175,11 @@ def strain(f: Filter, length_m: float) -> float:
         if f.keys[k] == ZENITH_KEY:
             zenith = abs(f.x[DYNAMIC + k]) / _ZENITH_M
         elif sure[k]:
-            sums[f.keys[k] // 64] += f.x[DYNAMIC + k]
-            members[f.keys[k] // 64] += 1.0
+            sums[f.keys[k] // SATELLITES_PER_SYSTEM] += f.x[DYNAMIC + k]
+            members[f.keys[k] // SATELLITES_PER_SYSTEM] += 1.0
     for k in range(len(f.keys)):
         if sure[k]:
-            system = f.keys[k] // 64
+            system = f.keys[k] // SATELLITES_PER_SYSTEM
             total += (f.x[DYNAMIC + k] - sums[system] / members[system]) ** 2
             count += 1
     may_m = _IONOSPHERES[0] * length_m + _IONOSPHERES[1]
@@ -194,7 +195,7 @@ def _held_on_two_bands(f: Filter) -> NDArray[np.bool_]:
             continue
         count = 0
         for j in range(len(out)):
-            mine = f.keys[j] >= FIRST_PAIR_KEY and f.keys[j] // 262144 == f.keys[k]
+            mine = f.keys[j] >= FIRST_PAIR_KEY and f.keys[j] // KEYS_PER_SATELLITE == f.keys[k]
             count += 1 if mine and np.isfinite(f.history[j, INTEGER]) else 0
         out[k] = count >= 2
     return out
