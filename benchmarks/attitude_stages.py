@@ -27,7 +27,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 import rt_load
-from latency_stages import CONNECT_S, Stamps, after, around_put, before, child, figures, listening, stamp_ingest, stamp_solver
+from latency_stages import Stamps, after, around_put, before, child, figures, listening, stamp_ingest, stamp_solver
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.keys import ATT, Role
@@ -131,12 +131,14 @@ def _bytes_of(name: str, rate: float, start: GpsTime, epochs: int) -> list[bytes
 def play(chunks: list[list[bytes]], feeds: list[socket.socket], hub: str, rate: float, seconds: float) -> dict[str, Any]:
     """Send epochs at their instants, from the start on; return when each was sent, which is the first that counts, what attitudes came."""
     sent, told, first = list[int](), list[tuple[AttitudeMessage, int]](), -1
-    with open_bus("attitude_stages", (hub,), timeout_s=CONNECT_S) as bus:
+    with open_bus("attitude_stages", (hub,), timeout_s=START_S) as bus:
 
         def take(sample: Any) -> None:
             told.append((decode(AttitudeMessage, sample.payload, sample.encoding), sample.received_mono_ns))
 
         bus.subscribe(ATT.expression(), take)
+        for feed in feeds:
+            feed.settimeout(START_S)
         connections = [feed.accept()[0] for feed in feeds]
         begun = time.monotonic()
         for number, epoch in enumerate(zip(*chunks, strict=True)):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from tests.attitude.draws import compiled_only
 
 from rtkmesh.attitude.design import Noise, design
 from rtkmesh.attitude.integrity import Finding, judged
@@ -75,6 +76,7 @@ def test_the_attitude_without_an_antenna_is_that_of_a_fit_without_it(layout: Lay
 
 
 @pytest.mark.parametrize("layout", [SQUARE, TRIANGLE])
+@compiled_only
 def test_injected_faults_stay_within_the_levels(layout: Layout, monkeypatch: pytest.MonkeyPatch):
     """Faults in every epoch, and sigmas that are exact and not inflated: of what passes the tests a good part is beyond 3.4 sigmas,
     and no larger share beyond its levels than each hypothesis may have.
@@ -96,6 +98,7 @@ def test_injected_faults_stay_within_the_levels(layout: Layout, monkeypatch: pyt
     assert by_level < 3 * 0.08 / len(layout.names) * given, "three angles"
 
 
+@compiled_only
 def test_levels_of_a_wrong_exclusion_reach_to_the_truth(monkeypatch: pytest.MonkeyPatch):
     """When another antenna explains the misfit nearly as well as the one that was left out, the level covers that, too."""
     monkeypatch.setattr("rtkmesh.attitude.integrity._CLEARLY_WORSE", 1.0)
