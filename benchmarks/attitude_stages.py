@@ -6,7 +6,7 @@
 Runs config/four_receivers.toml as processes (hub, five ingests, five solvers, attitude, monitor) on simulated bytes that come over TCP, all
 receivers' at one instant, and stamps each epoch at the boundaries of the stages. A boundary is passed when the last process has passed it.
 `waited` is from the arrival of the last baseline (or position) of the epoch at the attitude process until its attitude is with Zenoh, and
-what the attitude itself says of that.
+what the attitude itself says of that. Run `rtkmesh warm` first: what has to be compiled starts too late.
 """
 
 import argparse
