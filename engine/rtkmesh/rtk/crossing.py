@@ -31,8 +31,7 @@ def plain(setup: Setup) -> Plain:
 @kernel
 def named(setup: Plain) -> Setup:
     """Return the options that ``plain`` had."""
-    rules, slip, resolve, integrity = Rules(*setup[0]), SlipSetup(*setup[1]), ResolveSetup(*setup[2]), IntegritySetup(*setup[13])
-    return Setup(rules, slip, resolve, *setup[3:13], integrity, *setup[14:])
+    return Setup(Rules(*setup[0]), SlipSetup(*setup[1]), ResolveSetup(*setup[2]), IntegritySetup(*setup[3]), *setup[4:])
 
 
 def locate_epoch(epoch: Epoch, issues: Issues, setup: PointSetup, start_ecef_m: Vector) -> Located:
