@@ -6,7 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-NAMES = ("rates", "campaign", "families", "simulated")
+from rtkmesh.rtk.options import AmbiguityMode
+
+NAMES = ("rates", "campaign", "families", "simulated", "sigmas")
 
 
 def test_rates_are_read(benchmarks: SimpleNamespace):
@@ -46,3 +48,22 @@ def test_outcomes_are_in_seconds(benchmarks: SimpleNamespace):
     judged = benchmarks.simulated.Judged(np.ones(20, np.int64), error, np.ones(20), np.ones(20, np.bool_), np.zeros(20))
     found = benchmarks.campaign.outcome("x", 0, judged, 5)
     assert (found.wrong, found.longest_wrong_s, found.first_right_s) == (10, 2.0, 2.0)
+
+
+def test_five_epochs_a_second_are_as_right_and_as_honest_as_one(benchmarks: SimpleNamespace):
+    """Three runs of half a minute on one band: no fix is wrong, as many are right, and normalised squared errors of floats without
+    integers are alike (as white noise, codes of five epochs a second made them several times larger).
+    """
+    family = next(f for f in benchmarks.families.FAMILIES if f.name == "open_f9p_l1")
+    right, squares = list[float](), list[float]()
+    for hz in (1, 5):
+        runs = []
+        for run in range(3):
+            rng = benchmarks.campaign.random_of(family, 41, run)
+            runs.append(benchmarks.simulated.simulate(replace(family.make(rng), seconds=30, rate_hz=hz), rng))
+        found = [benchmarks.simulated.judge(run, benchmarks.simulated.solve(run)) for run in runs]
+        assert not any(one.wrong.any() for one in found)
+        right.append(float(np.mean([one.fixed.mean() for one in found])))
+        squares.append(float(np.concatenate([benchmarks.sigmas.of_run(run, AmbiguityMode.OFF).squares() for run in runs]).mean()))
+    assert right[1] == pytest.approx(right[0], abs=0.15)
+    assert 0.5 < squares[1] / squares[0] < 2.0, squares

@@ -303,10 +303,12 @@ class Rtk:
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
             past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s,
         )  # fmt: skip
+        learned, step_s = past.learned(), state.time_s - state.rover_s
         if len(around.bases) == 1:
             solved = take_step(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, step, known, self._setup)
         else:
             solved = self._solved_with_several(state, around, step, known)
+        past.count_in_part(learned, step_s)
         if solved.status in (SOLVED, FEW_COMMON):
             state.filter, state.informed = solved.filter, solved.informed
         if solved.status == SOLVED:
