@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """Does the engine know when it is right? More than a thousand short simulated runs, judged by the truth they were made from.
 
-  campaign.py [--runs N] [--seed S] [--only NAME,...] [--json] [--jobs N]
+  campaign.py [--runs N] [--seed S] [--only NAME,...] [--rate HZ] [--base-rate HZ] [--json] [--jobs N]
   campaign.py --only urban --run 17 [--seed S] --trace        one run again, epoch by epoch
 
-Runs of 75 to 185 epochs at 1 Hz, --runs in all (a family gets its equal share; the 17th run of a family is the same however many there
-are). Observations go through a live Session; see simulated.py for how, families.py for what.
+Runs of 75 to 185 s, --runs in all (a family gets its equal share; the 17th run of a family is the same however many there are). With
+--rate the rover has so many epochs in each of the same seconds, and so has the base, unless --base-rate says otherwise (rates.py compares).
+Observations go through a live Session; see simulated.py for how, families.py for what.
 
 Columns, of the epochs in which the rover tracks five satellites or more: fixes and right fixes in %; wrong fixes (off by more than 0.15 m
 in 3D) in % of the fixes with bounds of 95 % confidence as if fixes were independent, which they are not; runs with any wrong fix in % of
@@ -24,8 +25,8 @@ import sys
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ from rtkmesh.gnss.signals import satellite_id, signal_code
 from rtkmesh.rtk.solution import Reason, Solution, Status
 from rtkmesh.simulation.sky import absolute_s
 from score_pos import longest_run
-from simulated import Judged, judge, simulate, solve
+from simulated import Judged, Simulated, judge, simulate, solve
 
 Row = dict[str, Any]
 
@@ -64,7 +65,7 @@ class Outcome:
     possible: int
     fixes: int
     wrong: int
-    longest_wrong: int
+    longest_wrong_s: float
     worst_m: float
     first_right_s: float  # inf: never
     fix_squares: NDArray[np.float64]
@@ -78,15 +79,30 @@ def random_of(family: Family, seed: int, run: int) -> np.random.Generator:
     return np.random.default_rng((seed, zlib.crc32(family.name.encode()), run))
 
 
-def measure(name: str, seed: int, run: int) -> Outcome:
+class Rates(NamedTuple):
+    """Epochs of rover and base in a second; ``base_hz`` 0: as many as the rover's."""
+
+    rover_hz: int = 1
+    base_hz: int = 0
+
+
+ONE_HZ: Final = Rates()
+
+
+def simulated_run(family: Family, seed: int, run: int, rates: Rates = ONE_HZ) -> Simulated:
+    """Return a run of a family."""
+    rng = random_of(family, seed, run)
+    return simulate(replace(family.make(rng), rate_hz=rates.rover_hz, base_rate_hz=rates.base_hz), rng)
+
+
+def measure(name: str, seed: int, run: int, rates: Rates = ONE_HZ) -> Outcome:
     """Simulate, solve and judge one run."""
     family = next(f for f in FAMILIES if f.name == name)
-    rng = random_of(family, seed, run)
-    simulated = simulate(family.make(rng), rng)
-    return outcome(name, run, judge(simulated, solve(simulated)))
+    simulated = simulated_run(family, seed, run, rates)
+    return outcome(name, run, judge(simulated, solve(simulated)), rates.rover_hz)
 
 
-def outcome(name: str, run: int, judged: Judged) -> Outcome:
+def outcome(name: str, run: int, judged: Judged, rate_hz: int = 1) -> Outcome:
     """Return the figures of a judged run."""
     counted = judged.possible
     fixed, wrong = judged.fixed & counted, judged.wrong & counted
@@ -96,8 +112,8 @@ def outcome(name: str, run: int, judged: Judged) -> Outcome:
     known = np.isfinite(judged.normalised)
     floating = judged.status == int(Status.FLOAT)
     return Outcome(
-        name, run, int(counted.sum()), int(fixed.sum()), int(wrong.sum()), longest_run(wrong),
-        float(errors_m[wrong].max(initial=0.0)), float(right[0] - first) if len(right) else float("inf"),
+        name, run, int(counted.sum()), int(fixed.sum()), int(wrong.sum()), longest_run(wrong) / rate_hz,
+        float(errors_m[wrong].max(initial=0.0)), (right[0] - first) / rate_hz if len(right) else float("inf"),
         judged.normalised[fixed & known], judged.normalised[floating & counted & known], judged.doubt[fixed], wrong[fixed],
     )  # fmt: skip
 
@@ -118,7 +134,7 @@ def figures(outcomes: Sequence[Outcome]) -> Row:
         "runs_with_wrong": len(bad_runs),
         "runs_with_wrong_pct": _percent(len(bad_runs), len(outcomes)),
         "runs_with_wrong_pct_95": [100.0 * bound for bound in clopper_pearson(len(bad_runs), len(outcomes))],
-        "longest_wrong_s": max(o.longest_wrong for o in outcomes),
+        "longest_wrong_s": max(o.longest_wrong_s for o in outcomes),
         "worst_m": round(max(o.worst_m for o in outcomes), 3),
         "first_right_s": [_finite(first[min(int(q * len(first)), len(first) - 1)]) for q in (0.5, 0.95)],
         "nees_fix": _means(np.concatenate([o.fix_squares for o in outcomes])),
@@ -183,12 +199,12 @@ def page(rows: dict[str, Row]) -> str:
 
 
 def _cells(title: str, row: Row) -> list[str]:
-    first = " / ".join(">" if value is None else f"{value:.0f}" for value in row["first_right_s"])
+    first = " / ".join(">" if value is None else f"{value:.3g}" for value in row["first_right_s"])
     squares = ["" if row[name] is None else " / ".join(_short(v) for v in row[name]) for name in ("nees_fix", "nees_float")]
     return [
         title, str(row["runs"]), str(row["epochs"]), f"{row['fix_pct']:.1f}", f"{row['right_pct']:.1f}", str(row["wrong_fixes"]),
         _bounded(row["wrong_pct_of_fixes"], row["wrong_pct_of_fixes_95"]), str(row["runs_with_wrong"]),
-        _bounded(row["runs_with_wrong_pct"], row["runs_with_wrong_pct_95"]), str(row["longest_wrong_s"]), first, *squares,
+        _bounded(row["runs_with_wrong_pct"], row["runs_with_wrong_pct_95"]), f"{row['longest_wrong_s']:g}", first, *squares,
     ]  # fmt: skip
 
 
@@ -200,10 +216,10 @@ def _bounded(value: float, bounds: Sequence[float]) -> str:
     return f"{value:.2f} ({bounds[0]:.2f} to {bounds[1]:.2f})"
 
 
-def campaign(families: Sequence[Family], runs: int, seed: int, jobs: int) -> list[Outcome]:
+def campaign(families: Sequence[Family], runs: int, seed: int, jobs: int, rates: Rates = ONE_HZ) -> list[Outcome]:
     """Return the outcomes of all runs, in order, from as many processes as ``jobs``."""
     each = -(-runs // len(families))
-    work = [(family.name, seed, run) for family in families for run in range(each)]
+    work = [(family.name, seed, run, rates) for family in families for run in range(each)]
     done: dict[tuple[str, int], Outcome] = {}
     with ProcessPoolExecutor(jobs) as pool:
         waiting = {pool.submit(measure, *item): item for item in work}
@@ -211,7 +227,7 @@ def campaign(families: Sequence[Family], runs: int, seed: int, jobs: int) -> lis
         for future in track(finished, "runs", len(work), console=Console(stderr=True), disable=not sys.stderr.isatty()):
             result = future.result()
             done[result.family, result.run] = result
-    return [done[name, run] for name, _, run in work]
+    return [done[name, run] for name, _, run, _ in work]
 
 
 def rows_of(families: Sequence[Family], outcomes: Sequence[Outcome]) -> dict[str, Row]:
@@ -220,16 +236,16 @@ def rows_of(families: Sequence[Family], outcomes: Sequence[Outcome]) -> dict[str
     return rows if len(families) == 1 else rows | {"total": figures(outcomes)}
 
 
-def replays(outcomes: Iterable[Outcome], seed: int) -> Iterator[str]:
+def replays(outcomes: Iterable[Outcome], seed: int, rates: Rates = ONE_HZ) -> Iterator[str]:
     """Yield the command that shows each run with wrong fixes, worst first."""
+    at = "" if rates == ONE_HZ else f"--rate {rates.rover_hz} --base-rate {rates.base_hz} "
     for o in sorted((o for o in outcomes if o.wrong), key=lambda o: (-o.wrong, o.family, o.run)):
-        yield f"{o.wrong:4d} wrong, worst {o.worst_m:6.2f} m: campaign.py --only {o.family} --run {o.run} --seed {seed} --trace"
+        yield f"{o.wrong:4d} wrong, worst {o.worst_m:6.2f} m: campaign.py --only {o.family} --run {o.run} --seed {seed} {at}--trace"
 
 
-def trace(family: Family, seed: int, run: int) -> Iterator[str]:
+def trace(family: Family, seed: int, run: int, rates: Rates = ONE_HZ) -> Iterator[str]:
     """Yield one line per epoch of a run."""
-    rng = random_of(family, seed, run)
-    simulated = simulate(family.make(rng), rng)
+    simulated = simulated_run(family, seed, run, rates)
     solutions = solve(simulated)
     judged = judge(simulated, solutions)
     tag = simulated.rover[0].epoch.time
@@ -260,9 +276,9 @@ def main() -> int:
     families = [f for f in FAMILIES if not options.only or f.name in options.only.split(",")]
     if options.run is not None:
         return _one(families[0], options)
-    outcomes = campaign(families, options.runs or (QUICK_RUNS if options.quick else RUNS), options.seed, options.jobs)
+    outcomes = campaign(families, options.runs or (QUICK_RUNS if options.quick else RUNS), options.seed, options.jobs, _rates(options))
     rows = rows_of(families, outcomes)
-    commands = list(replays(outcomes, options.seed))
+    commands = list(replays(outcomes, options.seed, _rates(options)))
     if options.json:
         rates = by_rate(outcomes)
         print(json.dumps({"seed": options.seed, "families": rows, "failure_rates": rates, "replays": commands}, indent=1))
@@ -278,11 +294,15 @@ def main() -> int:
 def _one(family: Family, options: argparse.Namespace) -> int:
     """Show one run: its epochs or its figures."""
     if options.trace:
-        print("\n".join(trace(family, options.seed, options.run)))
+        print("\n".join(trace(family, options.seed, options.run, _rates(options))))
         return 0
-    row = figures([measure(family.name, options.seed, options.run)])
+    row = figures([measure(family.name, options.seed, options.run, _rates(options))])
     print(json.dumps(row, indent=1) if options.json else page({family.name: row}))
     return 0
+
+
+def _rates(options: argparse.Namespace) -> Rates:
+    return Rates(options.rate, options.base_rate)
 
 
 def _options() -> argparse.Namespace:
@@ -292,6 +312,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--only", help="names of families, with commas between")
     parser.add_argument("--run", type=int, help="this run of one family alone")
     parser.add_argument("--trace", action="store_true", help="with --run: every epoch")
+    parser.add_argument("--rate", type=int, default=1, help="epochs of the rover in a second")
+    parser.add_argument("--base-rate", type=int, default=0, help="epochs of the base in a second (0: as many as the rover's)")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs")
     parser.add_argument("--json", action="store_true", help="all figures, for programs")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")

@@ -81,7 +81,7 @@ def mission(receiver: ReceiverOptions, frequencies: int, rng: np.random.Generato
     signals = SURVEY.signals._replace(glonass_slope_m=0.02 * float(rng.standard_normal()))
     base = replace(SURVEY, steered=True, signals=signals)
     setup = Setup(
-        epochs=at, options=RtkOptions(frequencies=frequencies), trajectory=boat,
+        seconds=at, options=RtkOptions(frequencies=frequencies), trajectory=boat,
         rover=replace(receiver, signals=moving(receiver.signals, 15.0)), base=base, base_enu_m=(800.0, -600.0, 5.0),
         outages=tuple(outages),
     )  # fmt: skip

@@ -18,7 +18,7 @@ from simulated import Faults, Offset, Outage, Setup
 
 Random = np.random.Generator
 
-_OPEN: Final = 90  # epochs of a run at 1 Hz
+_OPEN: Final = 90  # seconds of a run
 _LONG: Final = 150
 _SETTLED_S: Final = 20  # faults come once the solver has begun
 # Motions, and how long (s) multipath hangs together on them at most: for ever, or as the vehicle moves on. A walk with an F9P shows 11 s,
@@ -50,7 +50,7 @@ def _place(rng: Random, shortest_m: float = 50.0, longest_m: float = 5000.0) -> 
 
 
 def _open(
-    rng: Random, rover: ReceiverOptions, *, frequencies: int = 2, epochs: int = _OPEN, motion: tuple[Trajectory, float] | None = None
+    rng: Random, rover: ReceiverOptions, *, frequencies: int = 2, seconds: int = _OPEN, motion: tuple[Trajectory, float] | None = None
 ) -> Setup:
     """Return a run under an open sky, 50 m to 5 km from the base; ``motion``: one of _MOTIONS by default."""
     options = RtkOptions(frequencies=frequencies)
@@ -60,7 +60,7 @@ def _open(
     receiver = replace(rover, systems=common, frequencies=frequencies, signals=signals)
     place = _place(rng)
     base = replace(_BASE, signals=_BASE.signals._replace(glonass_slope_m=_SLOPE_SIGMA_M * float(rng.standard_normal())))
-    return Setup(epochs=epochs, options=options, trajectory=trajectory, rover=receiver, base=base, base_enu_m=place)
+    return Setup(seconds=seconds, options=options, trajectory=trajectory, rover=receiver, base=base, base_enu_m=place)
 
 
 def _open_dual(rng: Random) -> Setup:
@@ -71,7 +71,7 @@ def _urban(rng: Random) -> Setup:
     """A car in streets of 20 m between houses of 8 to 40 m; the receiver slips where signals are weak and misses some of it."""
     noise = F9P.signals._replace(weak_slips_per_hour=60.0, untold_share=0.05)
     houses = city(int(rng.integers(2**31)), float(rng.uniform(8.0, 40.0)))
-    run = _open(rng, replace(F9P, signals=noise), epochs=_LONG, motion=(streets, 8.0))
+    run = _open(rng, replace(F9P, signals=noise), seconds=_LONG, motion=(streets, 8.0))
     return replace(run, surroundings=houses, base_enu_m=_place(rng, 300.0, 3000.0))
 
 
@@ -82,7 +82,7 @@ def _forest(rng: Random) -> Setup:
         half_cycle_share=0.5,
     )  # fmt: skip
     trees = forest(int(rng.integers(2**31)), float(rng.uniform(0.2, 1.0)))
-    return replace(_open(rng, replace(F9P, signals=noise), epochs=_LONG, motion=(walking, 11.0)), surroundings=trees)
+    return replace(_open(rng, replace(F9P, signals=noise), seconds=_LONG, motion=(walking, 11.0)), surroundings=trees)
 
 
 # --- faults of single satellites ---
@@ -151,13 +151,13 @@ def _tunnel(rng: Random) -> Setup:
         Outage(float(rng.integers(88, 95)), 10.0, radians(35.0)),
         Outage(float(rng.integers(105, 115)), float(rng.integers(3, 16))),
     )
-    return replace(_open(rng, F9P, epochs=_LONG, motion=(driving, 8.0)), outages=outages)
+    return replace(_open(rng, F9P, seconds=_LONG, motion=(driving, 8.0)), outages=outages)
 
 
 def _dive(rng: Random) -> Setup:
     """A boat that dives once for 10 to 120 s and stays up for half a minute after it."""
     length = int(rng.integers(10, 121))
-    return replace(_open(rng, F9P, epochs=30 + length + 35, motion=(boat, 15.0)), outages=(Outage(30.0, float(length)),))
+    return replace(_open(rng, F9P, seconds=30 + length + 35, motion=(boat, 15.0)), outages=(Outage(30.0, float(length)),))
 
 
 # --- faults of the base ---
@@ -200,7 +200,7 @@ def _far(distance_m: float) -> Callable[[Random], Setup]:
         place = _place(rng, 0.9 * distance_m, 1.1 * distance_m)
         activity = float(rng.uniform(0.5, 3.0))
         rover = F9P if rng.random() < 0.5 else SURVEY
-        return replace(_open(rng, rover, epochs=_LONG), base_enu_m=place, activity=activity)
+        return replace(_open(rng, rover, seconds=_LONG), base_enu_m=place, activity=activity)
 
     return make
 
@@ -219,7 +219,7 @@ FAMILIES: Final = (
     Family("open", "open sky, two bands, F9P or survey grade", _open_dual),
     Family("open_survey_l1", "open sky, one band, survey grade", lambda rng: _open(rng, SURVEY, frequencies=1)),
     Family("open_f9p_l1", "open sky, one band, F9P class", lambda rng: _open(rng, F9P, frequencies=1)),
-    Family("open_m8_l1", "open sky, one band, M8 class (G, R)", lambda rng: _open(rng, M8, frequencies=1, epochs=_LONG)),
+    Family("open_m8_l1", "open sky, one band, M8 class (G, R)", lambda rng: _open(rng, M8, frequencies=1, seconds=_LONG)),
     Family("urban", "streets between houses", _urban),
     Family("forest", "walk under trees", _forest),
     Family("slips", "untold slips of 1 to 3 cycles, rover", lambda rng: replace(_open(rng, F9P), faults=_rover_slips)),

@@ -58,7 +58,7 @@ def recorded_pair(case: Case) -> Pair:
 
 def simulated_pair(rover: ReceiverOptions, base: ReceiverOptions, seconds: int, seed: int) -> Pair:
     """Return two receivers of these classes that stand 280 m apart, somewhere on the earth."""
-    setup = Setup(epochs=seconds, trajectory=static, rover=rover, base=base, base_enu_m=(-210.0, 180.0, 3.0))
+    setup = Setup(seconds=seconds, trajectory=static, rover=rover, base=base, base_enu_m=(-210.0, 180.0, 3.0))
     run = simulate(setup, np.random.default_rng((seed, 60)))
     navigation: list[Message] = [broadcast(s, run.start) for s in SATELLITES.tolist()]
     options = RtkOptions(systems=rover.systems, frequencies=min(rover.frequencies, base.frequencies))

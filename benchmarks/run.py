@@ -49,6 +49,7 @@ PARSERS = ("pyubx2", "pyrtcm", "pysbf2", "pynmeagps")
 BENCHMARKS = (
     Benchmark("accuracy", "accuracy.py", "Solutions beside RTKLIB's, per recording", ("--quick",)),
     Benchmark("campaign", "campaign.py", "Simulated runs against the truth", ("--quick",), recordings=False),
+    Benchmark("rates", "rates.py", "The same runs at 1, 5 and 10 Hz", ("--quick",), recordings=False),
     Benchmark("dive", "dive.py", "After dives, RTKLIB on the same bytes", ("--quick",), recordings=False),
     Benchmark("directions", "directions.py", "Forward, backward and combined, beside RTKLIB's", ("--quick",)),
     Benchmark("heading", "heading.py", "How a heading repeats, beside RTKLIB's", ("--quick",)),

@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 import kernel_cache  # noqa: F401  first of all
 import recorded
 import slips
-from campaign import random_of
+from campaign import simulated_run
 from cases import Case, data_folder, load
 from families import FAMILIES, Family
 from results import table
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
-from simulated import WRONG_M, Simulated, simulate, solve
+from simulated import WRONG_M, Simulated, solve
 
 Row = dict[str, Any]
 Vector = NDArray[np.float64]
@@ -108,16 +108,11 @@ def figures(found: Errors) -> Row:
 
 def of_simulation(family: Family, seed: int, runs: int, mode: AmbiguityMode) -> Errors:
     """Return the errors of a family's fixes, or of its floats with integers left off."""
-    return _joined([_of_run(simulated, mode) for simulated in _simulated(family, seed, runs)])
+    return joined([of_run(simulated_run(family, seed, run), mode) for run in range(runs)])
 
 
-def _simulated(family: Family, seed: int, runs: int) -> Iterator[Simulated]:
-    for run in range(runs):
-        rng = random_of(family, seed, run)
-        yield simulate(family.make(rng), rng)
-
-
-def _of_run(simulated: Simulated, mode: AmbiguityMode) -> Errors:
+def of_run(simulated: Simulated, mode: AmbiguityMode) -> Errors:
+    """Return the errors of a run's fixes, or of its floats with integers left off."""
     setup = replace(simulated.setup, options=replace(simulated.setup.options, ambiguity=AmbiguityOptions(mode=mode)))
     solutions = solve(replace(simulated, setup=setup))
     wanted = Status.FLOAT if mode is AmbiguityMode.OFF else Status.FIX
@@ -136,7 +131,7 @@ def of_recording(case: Case, offset: str, mode: AmbiguityMode) -> tuple[Errors, 
     truth = position[right].mean(axis=0) if offset else np.array(case.truth.position_ecef_m)
     if mode is not AmbiguityMode.OFF:
         return errors([s for s, ok in zip(fixes, right, strict=True) if ok], truth), int(np.sum(~right))
-    return _joined([errors(piece, truth) for piece in _pieces(case)]), 0
+    return joined([errors(piece, truth) for piece in _pieces(case)]), 0
 
 
 def _pieces(case: Case) -> Iterator[list[Solution]]:
@@ -148,7 +143,8 @@ def _pieces(case: Case) -> Iterator[list[Solution]]:
         yield [s for s in slips.solve(scene, scene.rover[first : first + length]).values() if s.status is Status.FLOAT]
 
 
-def _joined(parts: Sequence[Errors]) -> Errors:
+def joined(parts: Sequence[Errors]) -> Errors:
+    """Return the errors of all parts."""
     return Errors(np.concatenate([p.error_m for p in parts]), np.concatenate([p.cov_m2 for p in parts]))
 
 

@@ -4,8 +4,9 @@ Observations go into the session as they are, without their encoding: bytes are 
 clock that the run advances: what arrives late is late.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import pi, radians
 from typing import Final
 
@@ -52,13 +53,16 @@ class Outage:
 class Setup:
     """What is simulated and how it is solved.
 
-    ``base_enu_m``: place of the base at the site or, with ``base_moves``, its lever arm on the rover's vehicle. ``arrivals(k)``: which
-    base epochs reach the solver at epoch k. From ``restart_at`` on the base is dead for ``restart_gap`` epochs and comes back cold.
-    From ``shift_at`` on the base tells a position that is ``shift_enu_m`` off. ``told_restarts``: the session is restarted at the end of
-    every outage, as by the command.
+    The rover has ``rate_hz`` epochs in each of its ``seconds``, the base ``base_rate_hz`` (0: as many). ``base_enu_m``: place of the base
+    at the site or, with ``base_moves``, its lever arm on the rover's vehicle. ``arrivals(k)``: the base epochs of which seconds reach the
+    solver in second k. From second ``restart_at`` on the base is dead for ``restart_gap`` seconds and comes back cold. From second
+    ``shift_at`` on the base tells a position that is ``shift_enu_m`` off. ``told_restarts``: the session is restarted at the end of every
+    outage, as by the command.
     """
 
-    epochs: int
+    seconds: int
+    rate_hz: int = 1
+    base_rate_hz: int = 0
     options: RtkOptions = field(default_factory=RtkOptions)
     trajectory: Trajectory = driving
     rover: ReceiverOptions = F9P
@@ -75,6 +79,16 @@ class Setup:
     shift_at: int | None = None
     shift_enu_m: Offset = (0.0, 0.0, 0.0)
     told_restarts: bool = False
+
+    @property
+    def epochs(self) -> int:
+        """Epochs of the rover."""
+        return self.seconds * self.rate_hz
+
+    @property
+    def base_hz(self) -> int:
+        """Epochs of the base in a second."""
+        return self.base_rate_hz or self.rate_hz
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +126,7 @@ def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
     rover_path = AntennaPath(site, begun, (0.0, 0.0, -1.5))
     base_path = AntennaPath(site, begun if setup.base_moves else None, setup.base_enu_m)
     rover = Receiver("rover", rover_path, seed, setup.rover, windows, setup.surroundings, setup.activity)
-    seen = [rover.observe(start + float(k)) for k in range(setup.epochs)]
+    seen = [rover.observe(start + k / setup.rate_hz) for k in range(setup.epochs)]
     base = _base(setup, base_path, seed, start, windows if setup.base_moves else ())
     base_ecef_m = base_path.position_ecef_m(absolute_s(start))
     if setup.base_moves:
@@ -120,8 +134,8 @@ def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
         baseline_ecef_m = np.array([rover_path.position_ecef_m(t) - base_path.position_ecef_m(t) for t in tags_s])
     else:
         baseline_ecef_m = np.array([o.position_ecef_m for o in seen]) - base_ecef_m
-    present = [b for b in base if b is not None]
-    on_rover, on_base = setup.faults(rng, seen, present) if setup.faults else ([], [])
+    present = [b for b in base[:: setup.base_hz] if b is not None]  # faults are told by seconds
+    on_rover, on_base = setup.faults(rng, seen[:: setup.rate_hz], present) if setup.faults else ([], [])
     return Simulated(
         setup, seed, start, site, seen, base, baseline_ecef_m, base_ecef_m,
         [disturbed(o.epoch, on_rover) for o in seen], [None if b is None else disturbed(b.epoch, on_base) for b in base],
@@ -132,14 +146,15 @@ def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
 def _base(setup: Setup, path: AntennaPath, seed: int, start: GpsTime, windows: tuple[Window, ...]) -> list[Observed | None]:
     """Return what the base observes, with its restart."""
     receiver, out = Receiver("base", path, seed, setup.base, windows, None, setup.activity), list[Observed | None]()
-    for k in range(setup.epochs):
-        if setup.restart_at is not None and setup.restart_at <= k < setup.restart_at + setup.restart_gap:
+    for k in range(setup.seconds * setup.base_hz):
+        time_s = k / setup.base_hz
+        if setup.restart_at is not None and setup.restart_at <= time_s < setup.restart_at + setup.restart_gap:
             out.append(None)
             continue
-        if setup.restart_at is not None and k == setup.restart_at + setup.restart_gap:
+        if setup.restart_at is not None and time_s == setup.restart_at + setup.restart_gap:
             cold = replace(setup.base, warm=False)
             receiver = Receiver("base, restarted", path, seed, cold, windows, None, setup.activity)
-        out.append(receiver.observe(start + float(k)))
+        out.append(receiver.observe(start + time_s))
     return out
 
 
@@ -148,30 +163,55 @@ def solve(run: Simulated) -> list[Solution | None]:
     setup = run.setup
     session = Session(SessionOptions(setup.options, pairing_for(setup.options, replay=False, maximum_wait_s=_WAIT_S)))
     _feed_navigation(session, run)
-    ends = {round(o.start_s + o.duration_s) for o in setup.outages} if setup.told_restarts else set[int]()
     place = {epoch.time: k for k, epoch in enumerate(run.rover_epochs)}
     out: list[Solution | None] = [None] * setup.epochs
-    turn = run.site.ecef_from_enu()
-    for k in range(setup.epochs):
-        if k in ends:
-            session.restart()
-        session.feed(Source.ROVER, run.rover_epochs[k], float(k))
-        shift_m = turn @ np.array(setup.shift_enu_m) if setup.shift_at is not None and k >= setup.shift_at else np.zeros(3)
-        x, y, z = (run.base_ecef_m + shift_m).tolist()
-        session.feed(Source.BASE, ReferenceStation(1, (x, y, z)), k + _BASE_DELAY_S)
-        for arrived in setup.arrivals(k):
-            epoch = run.base_epochs[arrived] if 0 <= arrived < setup.epochs else None
-            if epoch is not None:
-                session.feed(Source.BASE, epoch, k + _BASE_DELAY_S)
-        for now_s in (k + _BASE_DELAY_S, k + _WAIT_S + 0.05):
-            for solution in session.solutions(now_s):
-                out[place[solution.time]] = solution
+    for now_s, event in sorted(_events(run, session), key=lambda timed: timed[0]):
+        if event is not None:
+            event()
+            continue
+        for solution in session.solutions(now_s):
+            out[place[solution.time]] = solution
     return out
+
+
+def _events(run: Simulated, session: Session) -> Iterator[tuple[float, Callable[[], None] | None]]:
+    """Yield when what is done with a session, None where it is asked for solutions; of equal instants what is yielded first comes first."""
+    setup = run.setup
+    for outage in setup.outages if setup.told_restarts else ():
+        yield float(round(outage.start_s + outage.duration_s)), session.restart
+    for k, epoch in enumerate(run.rover_epochs):
+        yield k / setup.rate_hz, partial(session.feed, Source.ROVER, epoch, k / setup.rate_hz)
+    for k in range(len(run.base_epochs)):
+        now_s = k / setup.base_hz + _BASE_DELAY_S
+        yield now_s, partial(session.feed, Source.BASE, _told_station(run, k // setup.base_hz), now_s)
+        for epoch in _arriving(run, k):
+            yield now_s, partial(session.feed, Source.BASE, epoch, now_s)
+    for k in range(setup.epochs):
+        for wait_s in (_BASE_DELAY_S, _WAIT_S + 0.05):
+            yield k / setup.rate_hz + wait_s, None
+
+
+def _told_station(run: Simulated, second: int) -> ReferenceStation:
+    """Return where the base says that it is."""
+    shifted = run.setup.shift_at is not None and second >= run.setup.shift_at
+    shift_m = run.site.ecef_from_enu() @ np.array(run.setup.shift_enu_m) if shifted else np.zeros(3)
+    x, y, z = (run.base_ecef_m + shift_m).tolist()
+    return ReferenceStation(1, (x, y, z))
+
+
+def _arriving(run: Simulated, k: int) -> Iterator[Epoch]:
+    """Yield the base epochs that arrive when its epoch k would, if none were late or lost."""
+    second, within = divmod(k, run.setup.base_hz)
+    for told in run.setup.arrivals(second):
+        place = told * run.setup.base_hz + within
+        epoch = run.base_epochs[place] if 0 <= place < len(run.base_epochs) else None
+        if epoch is not None:
+            yield epoch
 
 
 def _feed_navigation(session: Session, run: Simulated) -> None:
     """Give the ephemerides of the run, as wrong as broadcast ones are, and the ionosphere's parameters."""
-    for time in (run.start, run.start + float(run.setup.epochs)):
+    for time in (run.start, run.start + float(run.setup.seconds)):
         for satellite in SATELLITES.tolist():
             session.feed(Source.NAVIGATION, with_orbit_error(broadcast(satellite, time), run.seed))
     session.feed(Source.NAVIGATION, KLOBUCHAR)
@@ -211,7 +251,7 @@ def judge(run: Simulated, solutions: Sequence[Solution | None]) -> Judged:
         status[k], doubt[k] = int(solution.status), 1.0 - solution.fix_probability
         relative, cov = solution.baseline_ecef_m, solution.baseline_cov_ecef_m2
         if setup.options.mode is not Mode.MOVING_BASE:
-            shifted = setup.shift_at is not None and k >= setup.shift_at
+            shifted = setup.shift_at is not None and k >= setup.shift_at * setup.rate_hz
             told = run.base_ecef_m + (turn @ np.array(setup.shift_enu_m) if shifted else 0.0)
             relative, cov = solution.position_ecef_m - told, solution.position_cov_ecef_m2
         difference = relative - run.baseline_ecef_m[k]

@@ -56,7 +56,7 @@ def test_outcomes_of_known_errors(benchmarks: SimpleNamespace):
     """Epochs without satellites do not count, floats are never wrong, the first right fix is timed from the first possible epoch."""
     run = judged(benchmarks, [9.0, 0.5, 0.2, 0.2, 0.1, 0.2, np.nan, 0.0], [1, 2, 1, 1, 1, 1, 0, 1], [False, *[True] * 7])
     found = benchmarks.campaign.outcome("x", 3, run)
-    assert (found.possible, found.fixes, found.wrong, found.longest_wrong) == (7, 5, 3, 2)
+    assert (found.possible, found.fixes, found.wrong, found.longest_wrong_s) == (7, 5, 3, 2)
     assert (found.first_right_s, found.worst_m) == (3.0, 0.2)
     assert found.fix_squares.tolist() == [2.0, 2.0, 1.0, 2.0, 0.0]
     assert found.float_squares.tolist() == [5.0]
@@ -87,7 +87,7 @@ def test_a_run_is_the_same_every_time(benchmarks: SimpleNamespace):
 @pytest.mark.parametrize(("family", "seed", "run"), [("slips_l1", 21, 12), ("open_m8_l1", 11, 3)])
 def test_glonass_without_a_slope_does_not_mislead_for_long(benchmarks: SimpleNamespace, family: str, seed: int, run: int):
     """Runs on one band that were wrong for 79 and 56 s because GLONASS phases were assumed to have no slope."""
-    assert benchmarks.campaign.measure(family, seed, run).longest_wrong <= 10
+    assert benchmarks.campaign.measure(family, seed, run).longest_wrong_s <= 10
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from math import nan
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,15 @@ from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.models.common_instant import base_move_ecef_m, moved_base
 from rtkmesh.models.ephemeris_table import Issues
 from rtkmesh.models.single import Located
+from rtkmesh.rtk.code_places import PLACE_SQUARES
 from rtkmesh.rtk.memory import forget
+from rtkmesh.rtk.noise import PHASE
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+
+
+FULL_STEP_S: Final = 0.9  # from this step on an epoch counts in full: at 1 Hz all do
 
 
 class Past(NamedTuple):
@@ -28,6 +33,21 @@ class Past(NamedTuple):
     def copy(self) -> "Past":
         """Return a past of its own."""
         return Past(*(part.copy() for part in self))
+
+    def learned(self) -> tuple[Matrix, Matrix]:
+        """Return what is known of the noise, to be held against what an epoch makes of it."""
+        return self.scale.copy(), self.informed_scale.copy()
+
+    def count_in_part(self, before: tuple[Matrix, Matrix], step_s: float) -> None:
+        """Let what an epoch has taught of the noise since ``before`` count for its part, when it came ``step_s`` after the last one.
+
+        At more than 1 Hz most errors of an epoch are those of the epoch before it. What is learned lasts for seconds, not for epochs.
+        """
+        if not step_s < FULL_STEP_S:
+            return
+        for scale, then in zip((self.scale, self.informed_scale), before, strict=True):
+            for part in (np.s_[:PHASE], np.s_[PHASE, :PLACE_SQUARES]):  # places of codes know of time
+                scale[part] = then[part] + step_s / FULL_STEP_S * (scale[part] - then[part])
 
     def forget(self) -> None:
         """Forget integers and predictions; what was learned of the receivers stays."""

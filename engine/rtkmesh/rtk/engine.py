@@ -309,12 +309,14 @@ class Rtk:
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
             past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s,
         )  # fmt: skip
+        learned, step_s = past.learned(), state.time_s - state.rover_s
         if len(around.bases) == 1:
             filters, signals = (tuple(state.filter), tuple(state.informed)), (tuple(around.rover.signals), tuple(base.signals))
             given = tuple(single), channel, klobuchar, tuple(step), tuple(known)
             solved = take_step(filters, signals, *given, self._plain_setup)
         else:
             solved = self._solved_with_several(state, around, step, known)
+        past.count_in_part(learned, step_s)
         if solved.status in (SOLVED, FEW_COMMON):
             state.filter, state.informed = solved.filter, solved.informed
         if solved.status == SOLVED:
