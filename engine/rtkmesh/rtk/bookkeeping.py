@@ -10,6 +10,7 @@ from rtkmesh._jit import kernel
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.gnss.signals import GLONASS, SBAS
 from rtkmesh.rtk.ambiguity import Candidates
+from rtkmesh.rtk.code_arcs import inflation_of
 from rtkmesh.rtk.filter import predict_motion, reset_state
 from rtkmesh.rtk.residuals import BASE_PHASE, CHANNEL, CODE, ELEVATION_RAD, PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.slips import CERTAIN, KNOWN_SLIP, NO_SLIP, SlipSetup, Verdicts, find_slips
@@ -55,7 +56,7 @@ class Walks(NamedTuple):
     """Random walks of the keyed states and how new shared ones begin (all in their units, walks per square root of second).
 
     An ionosphere does not walk away: within ``ionosphere_s`` it goes back to nothing, as far as its usual size ``ionosphere_sigma_m``.
-    ``slope`` is value and sigma of a new GLONASS slope; ``code_memory_s`` the correlation time of code multipath.
+    ``slope`` is value and sigma of a new GLONASS slope.
     """
 
     ambiguity_cyc: float
@@ -65,7 +66,6 @@ class Walks(NamedTuple):
     zenith_sigma_m: float
     slope_m: float
     slope: tuple[float, float]
-    code_memory_s: float
 
 
 @kernel
@@ -249,12 +249,10 @@ def take_half_cycles(table: Matrix, history: Matrix, place: Indices) -> None:
 
 @kernel
 def begin_ambiguities(
-    x: Vector, P: Matrix, history: Matrix, place: Indices, satellite: NDArray[np.int16], table: Matrix, dynamic: int, time_s: float,
-    memory: float, inflation: Vector,
-) -> None:  # fmt: skip
-    """Give new ambiguities the difference of phase and code; write the code's ``inflation``: ``memory`` where the ambiguity is older."""
+    x: Vector, P: Matrix, history: Matrix, place: Indices, satellite: NDArray[np.int16], table: Matrix, dynamic: int, time_s: float
+) -> None:
+    """Give new ambiguities the difference of phase and code."""
     for k in range(len(place)):
-        inflation[k] = 1.0
         if place[k] < 0:
             continue
         row = history[place[k]]
@@ -262,8 +260,15 @@ def begin_ambiguities(
             variance = _GLONASS_VARIANCE_CYC2 if satellite[k] // 64 == GLONASS else _AMBIGUITY_VARIANCE_CYC2
             reset_state(x, P, dynamic + place[k], (table[k, PHASE] - table[k, CODE]) / table[k, WAVELENGTH], variance)
             row[ARC_EPOCHS], row[ARC_S], row[INTEGER], row[HALF_CYC] = 0.0, time_s, nan, 0.0
-        if row[ARC_EPOCHS] > 0.0:
-            inflation[k] = memory
+
+
+@kernel
+def inflations(history: Matrix, place: Indices, code_since_s: Vector) -> Vector:
+    """Return the inflation of each code's variance."""
+    out = np.empty(len(place))
+    for k in range(len(place)):
+        out[k] = inflation_of(code_since_s[k], place[k] >= 0 and history[place[k], ARC_EPOCHS] > 0.0)
+    return out
 
 
 @kernel
@@ -329,28 +334,29 @@ class Arranged(NamedTuple):
 
 @kernel
 def lay_out(
-    before: Filter, d: Differences, times_s: Vector, slips: SlipSetup, expected: Vector, walks: Walks, phases: bool, atmosphere: int
+    before: Filter, d: Differences, code_since_s: Vector, times_s: Vector, slips: SlipSetup, expected: Vector, walks: Walks, phases: bool,
+    atmosphere: int,
 ) -> Arranged:  # fmt: skip
     """Give every pair its states; deal with slips; begin new states.
 
-    ``times_s`` and ``expected`` are those of ``find_slips``; ``atmosphere`` 0: none, 1: the zenith delay is a state, 2: the ionosphere
-    per satellite too.
+    ``code_since_s`` is how long ago each code was seen; ``times_s`` and ``expected`` are those of ``find_slips``; ``atmosphere`` 0: none,
+    1: the zenith delay is a state, 2: the ionosphere per satellite too.
     """
     n, dt = len(d.pairs.satellite), times_s[0] - times_s[2]
     known_step = isfinite(dt)
     wanted = wanted_keys(d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere)
     f = use_keys(before, wanted, times_s[0], max(slips.maximum_gap_s, 2.5 * dt if known_step else 0.0))
-    ambiguity, ionosphere, inflation = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
+    ambiguity, ionosphere = np.empty(n, np.int64), np.empty(n, np.int64)
     find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere == 2, ambiguity, ionosphere)
     begin_shared(f, walks, times_s[0], ionosphere)
     verdicts = Verdicts(np.zeros(n, np.int64), np.zeros(n))
     tested = find_slips(d, f.history, ambiguity, times_s, slips, expected, verdicts)
     apply_slips(f.x, f.P, f.history, ambiguity, verdicts, DYNAMIC, times_s[0])
     take_half_cycles(d.table, f.history, ambiguity)
-    memory = max(1.0, 2.0 * walks.code_memory_s / max(dt, 1e-3)) if known_step else 1.0
-    begin_ambiguities(f.x, f.P, f.history, ambiguity, d.pairs.satellite, d.table, DYNAMIC, times_s[0], memory, inflation)
-    zenith, slope = place_of(f.keys, ZENITH_KEY), place_of(f.keys, SLOPE_KEY)
-    return Arranged(f, Layout(ambiguity, ionosphere, zenith, slope, inflation), tested.redundancy, tested.rover.step_m, tested.rover.cov_m2)
+    begin_ambiguities(f.x, f.P, f.history, ambiguity, d.pairs.satellite, d.table, DYNAMIC, times_s[0])
+    inflation = inflations(f.history, ambiguity, code_since_s)
+    layout = Layout(ambiguity, ionosphere, place_of(f.keys, ZENITH_KEY), place_of(f.keys, SLOPE_KEY), inflation)
+    return Arranged(f, layout, tested.redundancy, tested.rover.step_m, tested.rover.cov_m2)
 
 
 @kernel

@@ -61,7 +61,8 @@ def float_factor(
         if not codes.weight[k] > 0.0 or layout.ambiguity[k] < 0 or d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
             continue
         row, walk_m = f.history[layout.ambiguity[k]], walk_cyc * d.table[k, WAVELENGTH]
-        take(row, residual(codes, epoch, k), layout.code_inflation[k] / codes.weight[k], walk_m * walk_m * step_s)
+        inflation = layout.code_inflation[k] if row[ARC_EPOCHS] > 1.0 else 1.0
+        take(row, residual(codes, epoch, k), inflation / codes.weight[k], walk_m * walk_m * step_s)
         squares += row[TAKEN_M] ** 2 / row[TAKEN_M2]
         count += 1
         judged[codes.group[k]] = True

@@ -47,7 +47,6 @@ Matrix = NDArray[np.float64]
 _DECAY_S: Final = 5.0  # accelerations of robots last seconds
 _RESEED_S: Final = 4.0  # beyond this gap the motion model says nothing and the single-point position takes over
 _FORGET_S: Final = 65.0  # beyond this gap nothing is left
-_CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
 _ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
 _ABSURD_EPOCHS: Final = 3
 _ANEW: Final = (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.STATIC, Mode.STATIC_START)  # where an epoch may be solved without its past as well
@@ -302,7 +301,7 @@ class Rtk:
         base_s, channel, klobuchar = self._clock_s(state, base.time), around.issues.channel, self._point.klobuchar
         known = Known(
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
-            past.memory, past.scale, *self._velocity(around.singles), past.informed_scale,
+            past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s,
         )  # fmt: skip
         if len(around.bases) == 1:
             solved = take_step(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, step, known, self._setup)

@@ -43,7 +43,7 @@ _START_M: Final = 0.5  # sigma of each coordinate that a new filter adds to the 
 
 class Motion(NamedTuple):
     """What an epoch knows beside its differences: times and the expected step as ``find_slips`` has them, where the differences were
-    modelled (baseline, m), the Doppler velocity relative to the base with its covariance (NaN without).
+    modelled (baseline, m), the Doppler velocity relative to the base with its covariance (NaN without), how long ago each code was seen.
     """
 
     times_s: Vector
@@ -51,6 +51,7 @@ class Motion(NamedTuple):
     modelled_m: Vector
     velocity_mps: Vector
     velocity_cov_m2ps2: Matrix
+    code_since_s: Vector
 
 
 class Use(NamedTuple):
@@ -147,7 +148,7 @@ def inform(before: Filter, witness: Filter, d: Differences, motion: Motion, use:
     """Update the filter by an epoch that the witness has been updated by, and tell it the integers that the witness holds."""
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     sharp = with_states(d, before.x[:3] - motion.modelled_m)
-    arranged = lay_out(before, sharp, motion.times_s, use.slip, motion.expected, use.walks, True, 2)
+    arranged = lay_out(before, sharp, motion.code_since_s, motion.times_s, use.slip, motion.expected, use.walks, True, 2)
     f, layout = arranged.filter, arranged.layout
     outcome = update(f, sharp, layout, use.scale, motion.velocity_mps, motion.velocity_cov_m2ps2)
     candidates = find_candidates(f, sharp, layout, outcome.phase_used, use.mask_rad, use.least_epochs)

@@ -15,6 +15,7 @@ from rtkmesh.rtk.agreement import note_fix
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
+from rtkmesh.rtk.code_arcs import since_seen
 from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Settled, Use, begin_informed, settle
 from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
@@ -44,7 +45,6 @@ _ZENITH_WALK_M: Final = 5e-5  # per square root of second
 # Between antennas that are not both calibrated the zenith delay has little freedom: their patterns would take it for decimetres of height.
 _ZENITH_HELD: Final = (0.0, 0.002)
 _SLOPE_WALK_M: Final = 1e-6  # per square root of second: temperature
-_CODE_MEMORY_S: Final = 20.0  # correlation time of code multipath: 5 s and less gave half the fixes on patch antennas
 
 _DOPPLER_STEP_S: Final = 2.5  # over longer steps the mean of two velocities says little
 _DOPPLER_SIGMA_MPS: Final = 0.3  # of that mean: Doppler noise of patch antennas, and jerk
@@ -80,11 +80,12 @@ class Setup(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What is carried from epoch to epoch beside the filter; ``memory``, ``scale`` and ``prediction`` are written to.
+    """What is carried from epoch to epoch beside the filter; ``memory``, ``scale``, ``prediction`` and ``codes_s`` are written to.
 
     ``times_s`` are now rover, now base, last rover, last base on the filter's clock; ``last_model_ecef_m`` is where the rover was taken to
     be in the last epoch; ``prediction`` where the last fix and the motion since put the baseline (m, ECEF), its sigma (m), and the last
-    epoch's velocity; the velocity is the Doppler velocity relative to the base. What is not known is NaN.
+    epoch's velocity; the velocity is the Doppler velocity relative to the base. What is not known is NaN. ``codes_s`` is when codes were
+    seen (``code_arcs``).
     """
 
     times_s: Vector
@@ -96,6 +97,7 @@ class Known(NamedTuple):
     velocity_mps: Vector
     velocity_cov_m2ps2: Matrix
     informed_scale: Matrix
+    codes_s: Matrix
 
 
 class Look(NamedTuple):
@@ -146,7 +148,7 @@ def _walks(setup: Setup, ionosphere_sigma_m: float, memory: Vector) -> Walks:
     zenith = (_ZENITH_WALK_M, ZENITH_SIGMA_M) if calibrated else _ZENITH_HELD
     return Walks(
         setup.ambiguity_walk_cyc, _IONOSPHERE_MEMORY_S, ionosphere_sigma_m, zenith[0], zenith[1], _SLOPE_WALK_M,
-        (memory[SLOPE], memory[SLOPE_SIGMA]), _CODE_MEMORY_S,
+        (memory[SLOPE], memory[SLOPE_SIGMA]),
     )  # fmt: skip
 
 
@@ -184,7 +186,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     atmosphere, walks = 2 if length_m > INFORMED_FROM_M else 0, walks_of(setup, length_m, known.memory)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
-    arranged = lay_out(before, d, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
+    since_s = since_seen(known.codes_s, d.pairs, np.isfinite(d.table[:, CODE]), time_s)
+    arranged = lay_out(before, d, since_s, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
     f, layout = arranged.filter, arranged.layout
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
@@ -200,7 +203,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     resolution, sure = not_resolved(), False
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
-        settled = _find_integers(f, informed, d, candidates, known, setup, Look(far, length_m, sharper, level), expected, modelled_m)
+        motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
+        settled = _find_integers(f, informed, d, candidates, known, setup, Look(far, length_m, sharper, level), motion)
         resolution, informed = settled.resolution, settled.informed
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
         if sure:
@@ -229,15 +233,13 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
 
 @kernel
 def _find_integers(
-    f: Filter, informed: Filter, d: Differences, candidates: Candidates, known: Known, setup: Setup, look: Look, expected: Vector,
-    modelled_m: Vector,
-) -> Settled:  # fmt: skip
+    f: Filter, informed: Filter, d: Differences, candidates: Candidates, known: Known, setup: Setup, look: Look, motion: Motion
+) -> Settled:
     """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter."""
     time_s, confirmed = known.times_s[0], known.memory[CONFIRMED]
     sharp = with_sharper_phases(f, look.sharper) if look.sharper < 1.0 else f
     free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, look.level)
     if look.far:
-        motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2)
         walks = _walks(setup, _INFORMED_SIGMA_PPM * look.length_m, known.memory)
         use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction, look.level)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.signals import MAX_SATELLITE
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh.rtk.code_arcs import new_codes
 from rtkmesh.rtk.filter import merge_keys, rearrange
 
 Vector = NDArray[np.float64]
@@ -116,12 +117,15 @@ class FilterState:
     rover_model_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
     rover_s: float = float("nan")
     base_s: float = float("nan")
+    codes_s: Matrix = field(default_factory=new_codes)
 
     def for_other_base(self, sigma_m: float) -> "FilterState":
         """Return a state of its own that keeps what does not depend on the base; ``sigma_m`` is added to that of the position."""
         rover = of_the_rover(self.filter, sigma_m)
         informed, base_ecef_m, model_ecef_m = of_the_rover(self.filter, sigma_m), self.base_ecef_m.copy(), self.rover_model_ecef_m.copy()
-        return replace(self, filter=rover, informed=informed, base_ecef_m=base_ecef_m, rover_model_ecef_m=model_ecef_m, base_s=nan)
+        return replace(
+            self, filter=rover, informed=informed, base_ecef_m=base_ecef_m, rover_model_ecef_m=model_ecef_m, base_s=nan, codes_s=new_codes()
+        )
 
     @property
     def rover_ecef_m(self) -> Vector:
