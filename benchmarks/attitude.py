@@ -37,7 +37,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
 from rtkmesh.rtk.solution import Solution, Status
-from rtkmesh.simulation.classes import F9P
+from rtkmesh.simulation.classes import F9P, moving
 from rtkmesh.simulation.receiver import Observed, Receiver
 from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, absolute_s, broadcast
 from rtkmesh.simulation.trajectories import AntennaPath, Pose, Site, boat
@@ -60,6 +60,7 @@ SIZES_M: Final = (0.005, 0.01, 0.02, 0.05)
 _WRONG_SIGMAS, _WRONG_RAD = 5.0, radians(1.0)
 _WITHIN: Final = 3.4  # sigmas of an angle: one in 1500 is further off
 _FIRST: Final = GpsTime(2445, 0.0)
+_ON_A_BOAT: Final = replace(F9P, signals=moving(F9P.signals, 15.0))  # as in ``families``
 
 
 @dataclass(slots=True)
@@ -186,7 +187,8 @@ def run(rng: np.random.Generator, epochs: int, scores: dict[int, Score], faults:
     site = Site(radians(float(rng.uniform(-60.0, 60.0))), radians(float(rng.uniform(-180.0, 180.0))), 50.0)
     begun_s = absolute_s(start) - float(rng.uniform(0.0, 300.0))
     receivers = {
-        name: Receiver(name, AntennaPath(site, lambda time_s: boat(time_s - begun_s), place), seed, F9P) for name, place in PLACES.items()
+        name: Receiver(name, AntennaPath(site, lambda time_s: boat(time_s - begun_s), place), seed, _ON_A_BOAT)
+        for name, place in PLACES.items()
     }
     sessions = {name: _session(PLACES["a"], PLACES[name], start, epochs * STEP_S) for name in ("b", "c", "d")}
     layout, all_fixed = Layout(tuple(PLACES), np.array(list(PLACES.values()))), False

@@ -29,7 +29,6 @@ GnssType = Literal["gps", "glonass", "galileo", "sbas", "qzss", "beidou", "irnss
 PresetFormat = Literal["auto", "rtcm2", "rtcm3", "ubx"]
 GNSS_TYPES: Final[tuple[str, ...]] = GnssType.__args__
 MESSAGE_SETS: Final[tuple[str, ...]] = MessageSet.__args__
-FORMATS: Final[tuple[str, ...]] = PresetFormat.__args__
 
 SURVEY_SUPPORTED, SURVEY_ACTIVE, SURVEY_VALID = 1, 2, 4
 PURPOSE_RTK: Final = 3  # of a connection: RTK corrections

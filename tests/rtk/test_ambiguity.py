@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import add_constraints, choose_references, compare_integers, condition, difference
 from rtkmesh.rtk.filter import OK, posterior
@@ -62,9 +63,9 @@ def test_differences_and_references():
 
 def test_integer_sets_are_compared_up_to_an_offset_per_group():
     """A common offset of a group changes nothing; one different integer is one difference; unknown values do not count."""
-    keys = np.array([(1 + k) * 262144 + s for k in range(4) for s in (5, 900)])
+    keys = np.array([(1 + k) * KEYS_PER_SATELLITE + s for k in range(4) for s in (5, 900)])
     values = np.arange(8.0)
-    shifted = values + np.where(keys % 262144 == 5, 100.0, -7.0)
+    shifted = values + np.where(keys % KEYS_PER_SATELLITE == 5, 100.0, -7.0)
     assert compare_integers(keys, values, keys, shifted) == (6, 0)
     shifted[5] += 1.0
     assert compare_integers(keys, values, keys, shifted) == (6, 1)

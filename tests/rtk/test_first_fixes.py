@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.acceptance import OPEN_SLOPE_FEW, OPEN_SLOPE_LEAST, bears_out, without_slope
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs
@@ -12,7 +13,7 @@ from rtkmesh.rtk.asked_odds import ASKED_OF_SURVEY_CODES, ASKED_OF_WITNESSED, FA
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
 from rtkmesh.rtk.noise import learn_codes, new_code_scale
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEY, Filter
-from rtkmesh.rtk.witness import KEYS_PER_SATELLITE, LEAST, RIVALS, witnessed
+from rtkmesh.rtk.witness import LEAST, RIVALS, witnessed
 
 WAVELENGTH_M = 0.19
 SLOPE_SIGMA_M = 0.03

@@ -5,14 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.rtk import informed
 from rtkmesh.rtk.ambiguity import held_differences, tell
 from rtkmesh.rtk.bookkeeping import relax
 from rtkmesh.rtk.matching import Pairs
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, DIFFERENCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, USUAL_M, ZENITH_KEY, Filter
-
-PAIR = 262144  # a key of a pair is its satellite times this, and more
 
 
 def differences(satellites, seed=0):
@@ -23,7 +22,7 @@ def differences(satellites, seed=0):
     direction = rng.normal(size=(n, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     number, index, flags = np.array(satellites, np.int16), np.zeros(n, np.int64), np.zeros((n, 2), np.bool_)
-    pairs = Pairs(number, index, index, index, index, 1, number.astype(np.int64) * PAIR)
+    pairs = Pairs(number, index, index, index, index, 1, number.astype(np.int64) * KEYS_PER_SATELLITE)
     return Differences(
         pairs, table, direction, direction, np.zeros(n), np.zeros(n), flags, flags[:, 0].copy(), np.zeros((n, 2)), np.zeros(n)
     )
@@ -33,7 +32,7 @@ def told_filter(integers, seed=1):
     """Return a filter of one group's ambiguities that holds these integers and is off them by some cycles."""
     n = DYNAMIC + len(integers)
     A = np.random.default_rng(seed).normal(size=(n, n))
-    keys, history = np.arange(1, len(integers) + 1) * PAIR, np.zeros((len(integers), HISTORY))
+    keys, history = np.arange(1, len(integers) + 1) * KEYS_PER_SATELLITE, np.zeros((len(integers), HISTORY))
     history[:, INTEGER] = integers
     return Filter(np.random.default_rng(seed + 1).normal(size=n), A @ A.T + np.eye(n), keys.astype(np.int64), history)
 
@@ -71,7 +70,7 @@ def test_what_is_told_is_known():
 
 def atmosphere(satellites, held):
     """Return a filter with a zenith delay, an ionosphere per satellite, and two ambiguities of each, held as said."""
-    keys = np.array([ZENITH_KEY, *satellites, *(s * PAIR + b for s in satellites for b in (1, 2))], np.int64)
+    keys = np.array([ZENITH_KEY, *satellites, *(s * KEYS_PER_SATELLITE + b for s in satellites for b in (1, 2))], np.int64)
     n, history = len(keys), np.full((len(keys), HISTORY), np.nan)
     history[1 + len(satellites) :, INTEGER] = np.repeat(np.where(held, 5.0, np.nan), 2)
     return Filter(np.zeros(DYNAMIC + n), np.eye(DYNAMIC + n), keys, history)
@@ -117,5 +116,5 @@ def test_ionospheres_go_back_to_what_is_usual(memories, usual_mm):
 def test_integers_are_adopted_by_key():
     """Only keys that both have, and only integers that the witness holds; what it does not know stays."""
     f, witness = told_filter(np.array([1.0, 2.0, 3.0])), told_filter(np.array([5.0, np.nan, 9.0]))
-    informed.adopt(f, witness._replace(keys=np.array([1, 2, 4], np.int64) * PAIR))
+    informed.adopt(f, witness._replace(keys=np.array([1, 2, 4], np.int64) * KEYS_PER_SATELLITE))
     assert f.history[:, INTEGER].tolist() == [5.0, 2.0, 3.0]

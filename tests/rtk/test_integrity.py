@@ -34,7 +34,7 @@ from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, IntegrityOption
 from rtkmesh.rtk.separation import CLOCK, COLUMNS, RANGE, Ranges, horizontal_sigma, solve_epoch
 from rtkmesh.rtk.solution import IntegrityReason, Reason, Solution, Status
 from rtkmesh.rtk.verdict import verdict
-from rtkmesh.simulation.classes import F9P, SURVEY
+from rtkmesh.simulation.classes import F9P, SURVEY, moving
 from rtkmesh.simulation.receiver import Receiver
 from rtkmesh.simulation.sky import SATELLITES, broadcast
 from rtkmesh.simulation.trajectories import AntennaPath, Site, driving
@@ -175,7 +175,7 @@ SITE = Site(radians(47.0), radians(8.0), 400.0)
 @pytest.fixture(scope="module")
 def scene() -> tuple[list, np.ndarray, np.ndarray]:
     """A drive of eight epochs: pairs of epochs, true positions, the base."""
-    rover = Receiver("rover", AntennaPath(SITE, driving, (0.0, 0.0, -1.5)), 5, F9P)
+    rover = Receiver("rover", AntennaPath(SITE, driving, (0.0, 0.0, -1.5)), 5, replace(F9P, signals=moving(F9P.signals, 8.0)))
     base = Receiver("base", AntennaPath(SITE, None, (-320.0, 210.0, 4.0)), 5, replace(SURVEY, steered=True))
     seen = [(rover.observe(START + float(k)), base.observe(START + float(k))) for k in range(8)]
     return [(r.epoch, b.epoch) for r, b in seen], np.array([r.position_ecef_m for r, _ in seen]), seen[0][1].position_ecef_m

@@ -17,7 +17,6 @@ from rtkmesh_services.mapping.candidates import candidates_of
 
 FLOAT = {"status": 2, "status_name": "FLOAT", "reason": "ratio", "candidates": True}
 TRIANGLES = ("ab", "ac", "ad", "bc", "bd", "cd")
-OFF_M = (0.19, -0.1, 0.05)
 
 
 def floating(vehicle: Vehicle, name: str, tow_s: float) -> SolutionMessage:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude.candidates import Candidates, Pairs, pairs_of
 from rtkmesh.gnss.beidou import is_geostationary
+from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 
 Vector = NDArray[np.float64]
 
@@ -69,7 +70,8 @@ def _around(first: _Edge, second: _Edge, third: _Edge) -> tuple[int, int]:
             for last, two in second.get((satellite, middle), {}).items():
                 three = third.get((satellite, last), {}).get(start)
                 if three is not None:
-                    groups.setdefault((satellite // 64, is_geostationary(satellite), start, middle, last), []).append(one + two + three)
+                    clock = satellite // SATELLITES_PER_SYSTEM, is_geostationary(satellite)
+                    groups.setdefault((*clock, start, middle, last), []).append(one + two + three)
     return sum(sum(total != totals[0] for total in totals[1:]) for totals in groups.values()), sum(len(t) - 1 for t in groups.values())
 
 

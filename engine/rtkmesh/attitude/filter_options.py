@@ -100,7 +100,6 @@ class Why(StrEnum):
     STUCK = "stuck"
     VERTICAL = "vertical"
     ACCELERATED = "accelerated"
-    SLOW = "slow"
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.attitude.chi_square import chi_square_tail
 from rtkmesh.attitude.rotation import angles_of, angles_per_error, rotation_of, skew
 from rtkmesh.errors import OptionError
 
@@ -155,11 +154,6 @@ class Fit:
             return np.full((3, 3), nan)
         jacobian = angles_per_error(self.ned_from_body)
         return jacobian @ self.cov[:3, :3] @ jacobian.T
-
-    @property
-    def p_value(self) -> float:
-        """Probability of a larger chi-square if the sigmas are right; NaN without redundancy."""
-        return chi_square_tail(self.chi_square, self.degrees)
 
     def point(self, body_m: Vector) -> tuple[Vector, Matrix]:
         """Return where a point of the body (forward, right, down) is in NED (m), with covariance (3x3)."""

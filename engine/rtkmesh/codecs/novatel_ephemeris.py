@@ -10,8 +10,9 @@ from rtkmesh.codecs.accuracy import URA_M
 from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, kepler_ephemeris, lnav_ephemeris
 from rtkmesh.codecs.messages import Message
 from rtkmesh.codecs.subframes import LNAV, LNAV_PREAMBLE
-from rtkmesh.codecs.unicore_ephemeris import CLOCK, ORBIT, QZSS_PRN_OFFSET, READERS, Reader, Values, beidou_message, galileo, satellite_of
+from rtkmesh.codecs.unicore_ephemeris import CLOCK, ORBIT, QZSS_PRN_OFFSET, READERS, Reader, Values, galileo, satellite_of
 from rtkmesh.codecs.unicore_logs import Fields, Log
+from rtkmesh.gnss.beidou import message_on_b1i
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S
 from rtkmesh.gnss.ephemeris import Ephemeris
 from rtkmesh.gnss.signals import BEIDOU, GPS, QZSS
@@ -55,7 +56,7 @@ def _beidou(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
     if number == 0 or not 0.0 <= v["ura_m"] <= URA_M[-1]:
         return [None]
     return [kepler_ephemeris(
-        number, beidou_message(v["prn"]), values, sent, (int(v["iode"]), int(v["iodc"])), BEIDOU_FIT_S, accuracy_m=v["ura_m"],
+        number, message_on_b1i(number), values, sent, (int(v["iode"]), int(v["iodc"])), BEIDOU_FIT_S, accuracy_m=v["ura_m"],
         health=int(v["health"]) & 1, delays_s=(v["tgd1_s"], v["tgd2_s"]),
     )]  # fmt: skip
 

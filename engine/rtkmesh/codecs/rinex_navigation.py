@@ -15,6 +15,7 @@ from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, accuracy_m
 from rtkmesh.codecs.messages import DecodingCounters
 from rtkmesh.codecs.rinex_header import as_bytes, header_lines, integer, number, numbers, version_and_type
 from rtkmesh.errors import FormatError
+from rtkmesh.gnss.beidou import message_on_b1i
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, SECONDS_PER_DAY, SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, NavigationMessage
 from rtkmesh.gnss.signals import NO_CHANNEL, satellite_number
@@ -25,7 +26,6 @@ _LINES: Final = {"G": 8, "E": 8, "C": 8, "J": 8, "I": 8, "R": 4, "S": 4}
 _V2_SYSTEM_OF_TYPE: Final = {"G": "R", "H": "S", "L": "E", "J": "J", "C": "C"}
 _NAVIGATION_TYPES: Final = ("N", "G", "H", "L", "J", "P")
 _V4_MESSAGES: Final = ("LNAV", "INAV", "FNAV", "INFN", "IFNV", "D1", "D2", "D1D2", "FDMA")
-_BEIDOU_GEO: Final = frozenset((*range(1, 6), *range(59, 64)))
 _GLONASS_ACCURACY_M: Final = 5.0  # where the record has no URA: F_T of a healthy satellite is 1 to 7 m (GLONASS ICD 5.1 table 4.4)
 
 
@@ -191,8 +191,7 @@ def _navic(satellite: int, date: datetime, v: list[float]) -> Ephemeris:
 
 
 def _beidou(satellite: int, date: datetime, v: list[float]) -> Ephemeris:
-    message = NavigationMessage.D2 if satellite % 64 in _BEIDOU_GEO else NavigationMessage.D1
-    shift_s = -BDT_MINUS_GPST_S
+    shift_s, message = -BDT_MINUS_GPST_S, message_on_b1i(satellite)
     return _kepler(satellite, v, message, _gpst(date) + shift_s, shift_s=shift_s, issues=(v[3], v[28]), accuracy_m=v[23], fit_s=10800.0)
 
 

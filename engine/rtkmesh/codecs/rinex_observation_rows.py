@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS
 
 FIELD: Final = 16
 SATELLITE_WIDTH: Final = 3
@@ -16,7 +17,7 @@ _DIGITS: Final = 14  # of F14.3
 _LARGEST: Final = 9_999_999_999_999  # thousandths that fit, positive and negative
 _SMALLEST: Final = -999_999_999_999
 _BLANK, _ZERO, _MINUS, _POINT, _LINE_END = (ord(character) for character in " 0-.\n")
-_LETTERS: Final = np.array([ord(letter) for letter in "GRECJSI"], np.uint8)
+_LETTERS: Final = np.array([ord(letter) for letter in SYSTEMS], np.uint8)
 
 
 @kernel
@@ -60,7 +61,7 @@ def write_rows(
     length, satellites, row = 0, 0, 0
     while row < len(satellite):
         here, begin, end = satellite[row], length, length
-        system, number = here // 64, here % 64
+        system, number = here // SATELLITES_PER_SYSTEM, here % SATELLITES_PER_SYSTEM
         while row < len(satellite) and satellite[row] == here:
             for kind in range(4):
                 place = field[system, signal[row], kind]

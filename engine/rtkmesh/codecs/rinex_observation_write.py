@@ -16,7 +16,7 @@ from rtkmesh.codecs.rinex_observation_rows import FIELD, KINDS, PHASE, SATELLITE
 from rtkmesh.codecs.rinex_write import Origin, calendar_fields, first_lines, header_line
 from rtkmesh.gnss.ephemeris import GlonassBias, ReferenceStation
 from rtkmesh.gnss.epoch import Epoch
-from rtkmesh.gnss.signals import GLONASS, MAX_SATELLITE, MAX_SIGNAL, NO_CHANNEL, SYSTEMS, satellite_id, signal_code
+from rtkmesh.gnss.signals import GLONASS, MAX_SATELLITE, MAX_SIGNAL, NO_CHANNEL, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_id, signal_code
 from rtkmesh.gnss.time import GpsTime, gps_minus_utc_s
 
 _TYPES_PER_LINE: Final = 13
@@ -55,7 +55,7 @@ class Survey:
         self.first = epoch.time if self.first is None else min(self.first, epoch.time)
         self.last = epoch.time
         self.epochs += 1
-        systems = epoch.satellite // 64
+        systems = epoch.satellite // SATELLITES_PER_SYSTEM
         for kind, values in enumerate((epoch.pseudorange_m, epoch.phase_cyc, epoch.doppler_hz, epoch.cn0_dbhz)):
             there = np.isfinite(values)
             self._present[systems[there], epoch.signal[there], kind] = True
@@ -76,7 +76,7 @@ class Survey:
     @property
     def channels(self) -> dict[str, int]:
         """GLONASS channel by satellite id."""
-        slots = range(GLONASS * 64, GLONASS * 64 + 64)
+        slots = range(GLONASS * SATELLITES_PER_SYSTEM, (GLONASS + 1) * SATELLITES_PER_SYSTEM)
         return {satellite_id(slot): int(self._channel[slot]) for slot in slots if self._channel[slot] != NO_CHANNEL}
 
 

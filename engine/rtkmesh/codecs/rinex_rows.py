@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import signal_number
+from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, signal_number
 
 CODE, PHASE, DOPPLER, STRENGTH, NOT_READ = 0, 1, 2, 3, -1
 _KINDS: Final = {"C": CODE, "P": CODE, "L": PHASE, "D": DOPPLER, "S": STRENGTH}
@@ -232,7 +232,7 @@ def fill_rows(
     width = signals.shape[1]
     for i in range(len(satellites)):
         satellite = satellites[i]
-        system = satellite // 64
+        system = satellite // SATELLITES_PER_SYSTEM
         for s in range(count, count + width):
             row_flags[s] = 0
             for c in range(4):

@@ -14,6 +14,7 @@ from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, SISA_M, URA_M, 
 from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, NAVIC_FIT_S, QZSS_FIT_S, gps_fit_s
 from rtkmesh.codecs.rtcm3_ephemeris_layouts import LAYOUTS
 from rtkmesh.codecs.utc import leap_seconds_of, moscow_hour, utc_year
+from rtkmesh.gnss.beidou import message_on_b1i
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, GST_WEEK_OFFSET, SECONDS_PER_DAY, SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, NAVIC, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
@@ -95,7 +96,7 @@ def _decode_navic(v: Values, clock: GpsTime | None) -> Ephemeris | str:
 
 
 def _decode_beidou(v: Values, clock: GpsTime | None) -> Ephemeris | str:
-    message = NavigationMessage.D2 if v["slot"] <= 5 or 59 <= v["slot"] <= 63 else NavigationMessage.D1
+    message = message_on_b1i(BEIDOU * SATELLITES_PER_SYSTEM + int(v["slot"]))
     return _kepler(1042, BEIDOU, v, clock, message, BEIDOU_FIT_S, accuracy_m(URA_M, int(v["accuracy"])), (v["tgd1_s"], v["tgd2_s"]))
 
 

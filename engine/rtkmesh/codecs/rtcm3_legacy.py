@@ -17,7 +17,6 @@ from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.signals import GLONASS, GPS, MAX_SATELLITE, NO_CHANNEL, SATELLITES_PER_SYSTEM, SBAS, carrier_hz, signal_number
 
 NUMBERS: Final = (1002, 1004, 1010, 1012)
-WITHOUT_MODULUS: Final = (1001, 1003, 1009, 1011)
 
 _ROLL_CYC: Final = 1500.0  # DF012, DF018, DF042, DF048
 _INVALID_PHASE: Final = -(1 << 19)

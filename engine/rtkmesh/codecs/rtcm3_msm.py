@@ -99,7 +99,6 @@ def _by_type(index: int) -> NDArray[Any]:
 SATELLITE_WIDTHS, CELL_WIDTHS, SCALES = (_by_type(index) for index in range(3))
 SATELLITE_BITS, CELL_BITS = SATELLITE_WIDTHS.sum(axis=1), CELL_WIDTHS.sum(axis=1)
 RATE_SCALE_MPS: Final = 1e-4  # DF404
-INVALID_RATE_MPS: Final = -8192  # DF399
 NO_EXTENDED: Final = 15  # DF419: channel not known
 LAST_EXTENDED_LOCK: Final = 704  # DF407
 

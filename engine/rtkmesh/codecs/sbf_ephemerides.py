@@ -10,6 +10,7 @@ from typing import Final
 from rtkmesh.codecs.accuracy import GLONASS_FT_M, NO_ACCURACY_M, SISA_M, URA_M, Table, accuracy_index, accuracy_m
 from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, QZSS_FIT_S, gps_fit_s, kepler_ephemeris
 from rtkmesh.codecs.sbf_signals import SATELLITE_OF, svid_of
+from rtkmesh.gnss.beidou import message_on_b1i
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, BDT_WEEK_OFFSET, PI_GPS
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, KlobucharParameters, NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, QZSS, SATELLITES_PER_SYSTEM
@@ -108,11 +109,9 @@ def _gps(satellite: int, v: Values, time: GpsTime) -> KeplerEphemeris | None:
 
 
 def _beidou(satellite: int, v: Values, time: GpsTime) -> KeplerEphemeris | None:
-    number = satellite % SATELLITES_PER_SYSTEM
-    message = NavigationMessage.D2 if number <= 5 or 59 <= number <= 63 else NavigationMessage.D1
     in_gpst = {name: v[name] - BDT_MINUS_GPST_S for name in ("toe_s", "toc_s")}
     return kepler_ephemeris(
-        satellite, message, v | in_gpst, time, (int(v["iode"]), int(v["iodc"])), BEIDOU_FIT_S,
+        satellite, message_on_b1i(satellite), v | in_gpst, time, (int(v["iode"]), int(v["iodc"])), BEIDOU_FIT_S,
         accuracy_m=accuracy_m(URA_M, int(v["ura"])), health=int(v["health"]), delays_s=(v["tgd_s"], v["tgd2_s"]),
     )  # fmt: skip
 

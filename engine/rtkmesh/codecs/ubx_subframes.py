@@ -19,7 +19,7 @@ from rtkmesh.codecs.navigation_words import (
     take_block,
 )
 from rtkmesh.codecs.ubx_signals import GNSS_IDS, SATELLITE_OF, SIG_IDS
-from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.beidou import is_geostationary
 
 # What is wrong with a message, besides what there may be with a block.
 WRONG_LENGTH, UNKNOWN_SATELLITE = -100, -101
@@ -38,8 +38,6 @@ _MESSAGES: Final = {
     (5, 0): ((0,), LNAV_MESSAGE),
     (6, 0): (tuple(range(SIG_IDS + 1)), GLONASS_MESSAGE),
 }
-_BEIDOU_GEO: Final = (1, 2, 3, 4, 5, 59, 60, 61, 62, 63)
-_BEIDOU_ID: Final = 3
 
 # By message: words that are sent (with an I/NAV page at least), words that make the block, and the mask of their bits.
 _WORDS: Final = ((10, 10, 30), (8, 8, 32), (10, 10, 30), (10, 10, 30), (4, 4, 32))
@@ -55,15 +53,7 @@ def _message_table() -> NDArray[np.int64]:
     return table
 
 
-def _geostationary_table() -> NDArray[np.int64]:
-    """Return whether a satellite is geostationary, by gnssId and number."""
-    table = np.zeros((GNSS_IDS, SATELLITES_PER_SYSTEM), np.int64)
-    table[_BEIDOU_ID, list(_BEIDOU_GEO)] = 1
-    return table
-
-
 _MESSAGE_OF = _message_table()
-_GEOSTATIONARY = _geostationary_table()
 
 
 @kernel
@@ -79,8 +69,7 @@ def read_block(data: bytes, start: int, end: int, words: Words) -> tuple[int, in
     satellite = int(SATELLITE_OF[gnss, data[start + 1]]) if gnss < GNSS_IDS else 0
     if satellite == 0:
         return UNKNOWN_SATELLITE, _NONE, 0, 0
-    geostationary = _GEOSTATIONARY[gnss, satellite % SATELLITES_PER_SYSTEM]
-    message = int(_MESSAGE_OF[gnss, geostationary, min(sig, SIG_IDS)])
+    message = int(_MESSAGE_OF[gnss, int(is_geostationary(satellite)), min(sig, SIG_IDS)])
     if message < 0 or count < _SENT[message] or (count > _SENT[message] and message != INAV_MESSAGE):
         return satellite, _NONE, 0, 0
     for k in range(WORDS):

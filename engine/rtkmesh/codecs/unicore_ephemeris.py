@@ -11,6 +11,7 @@ from rtkmesh.codecs.accuracy import GLONASS_FT_M, SISA_M, accuracy_m
 from rtkmesh.codecs.ephemerides import BEIDOU_FIT_S, GALILEO_FIT_S, GPS_FIT_S, QZSS_FIT_S, kepler_ephemeris
 from rtkmesh.codecs.messages import Message
 from rtkmesh.codecs.unicore_logs import Fields, Log
+from rtkmesh.gnss.beidou import message_on_b1i
 from rtkmesh.gnss.constants import BDT_MINUS_GPST_S, SECONDS_PER_DAY, SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
@@ -84,18 +85,12 @@ def _like_gps(satellite: int, v: Values, sent: GpsTime, fit_s: float) -> list[Ep
     return [_kepler(satellite, NavigationMessage.LNAV, v, sent, (v["iode"], v["iodc"]), fit_s, health, (v["tgd_s"], 0.0))]
 
 
-def beidou_message(prn: float) -> NavigationMessage:
-    """Return the message that a BeiDou satellite sends on B1I: D2 if it is geostationary."""
-    return NavigationMessage.D2 if prn <= 5 or prn >= 59 else NavigationMessage.D1
-
-
 def _beidou(v: Values, sent: GpsTime) -> list[Ephemeris | None]:
     """Times of week are BDT."""
     satellite = satellite_of(BEIDOU, v["prn"], 63)
-    message = beidou_message(v["prn"])
     v = {**v, "toe_s": v["toe_s"] - BDT_MINUS_GPST_S, "toc_s": v["toc_s"] - BDT_MINUS_GPST_S}
     delays_s = v["tgd1_s"], v["tgd2_s"]
-    return [_kepler(satellite, message, v, sent, (v["iode"], v["iodc"]), BEIDOU_FIT_S, int(v["health"]), delays_s)]
+    return [_kepler(satellite, message_on_b1i(satellite), v, sent, (v["iode"], v["iodc"]), BEIDOU_FIT_S, int(v["health"]), delays_s)]
 
 
 def _kepler(

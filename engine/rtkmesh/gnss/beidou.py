@@ -1,13 +1,20 @@
 """What is different about some satellites of BeiDou."""
 
-from typing import Final
-
+from rtkmesh._jit import kernel
+from rtkmesh.gnss.ephemeris import NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, SATELLITES_PER_SYSTEM
 
-GEOSTATIONARY: Final = frozenset((1, 2, 3, 4, 5, 59, 60, 61, 62, 63))  # numbers (BDS-SIS-ICD B1I 3.0, 3.1)
 
-
+@kernel
 def is_geostationary(satellite: int) -> bool:
-    """Return whether this is the number (of all systems) of a geostationary satellite of BeiDou, with a clock of its own in receivers."""
-    system, number = divmod(satellite, SATELLITES_PER_SYSTEM)
-    return system == BEIDOU and number in GEOSTATIONARY
+    """Return whether this is the number (of all systems) of a geostationary satellite of BeiDou (BDS-SIS-ICD B1I 3.0, 3.1).
+
+    They have a clock of their own in receivers, and an orbit and a message of another kind.
+    """
+    number = satellite % SATELLITES_PER_SYSTEM
+    return satellite // SATELLITES_PER_SYSTEM == BEIDOU and (0 < number <= 5 or number >= 59)
+
+
+def message_on_b1i(satellite: int) -> NavigationMessage:
+    """Return the message that a satellite of BeiDou sends on B1I: D2 if it is geostationary."""
+    return NavigationMessage.D2 if is_geostationary(satellite) else NavigationMessage.D1

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.gnss.signals import NO_CHANNEL, satellite_id, signal_code
+from rtkmesh.gnss.signals import NO_CHANNEL, SIGNALS_PER_SATELLITE, satellite_id, signal_code
 from rtkmesh.gnss.time import GpsTime
 
 # Bits of Epoch.flags.
@@ -106,7 +106,7 @@ def make_epoch(time: GpsTime, **columns: Any) -> Epoch:
         name: np.ascontiguousarray(columns[name], dtype=dtype) if name in columns else np.full(count, unknown, dtype=dtype)
         for name, dtype, unknown in COLUMNS
     }
-    key = full["satellite"].astype(np.int32) * 512 + full["signal"]
+    key = full["satellite"].astype(np.int32) * SIGNALS_PER_SATELLITE + full["signal"]
     _, index = np.unique(key, return_index=True)
     kept: dict[str, Any] = {name: column[index] for name, column in full.items()}
     return Epoch(time, **kept)

@@ -5,7 +5,11 @@ minus 100, QZSS is PRN minus 192). A signal is ``band * 26 + attribute`` of its 
 are order preserving: sorting by (satellite, signal) is sorting by system, number, band, attribute.
 """
 
+from collections.abc import Iterable
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 
@@ -15,6 +19,8 @@ SATELLITES_PER_SYSTEM: Final = 64
 MAX_SATELLITE: Final = len(SYSTEMS) * SATELLITES_PER_SYSTEM
 ATTRIBUTES: Final = 26
 MAX_SIGNAL: Final = 10 * ATTRIBUTES
+SIGNALS_PER_SATELLITE: Final = 512  # more than there are signal numbers: satellite * this + signal is a key of both
+KEYS_PER_SATELLITE: Final = SIGNALS_PER_SATELLITE**2  # a pair's key: (satellite * 512 + rover signal) * 512 + base signal
 NO_CHANNEL: Final = 127  # GLONASS frequency channel not known (or not GLONASS)
 
 
@@ -29,6 +35,17 @@ def satellite_number(satellite_id: str) -> int:
 def satellite_id(satellite: int) -> str:
     """Return the RINEX id of a satellite number."""
     return f"{SYSTEMS[satellite // SATELLITES_PER_SYSTEM]}{satellite % SATELLITES_PER_SYSTEM:02d}"
+
+
+def allowed_satellites(systems: Iterable[str], excluded: Iterable[str] = ()) -> NDArray[np.bool_]:
+    """Return by satellite number whether it is of these systems (RINEX letters) and not one of the excluded (RINEX ids)."""
+    allowed = np.zeros(MAX_SATELLITE, np.bool_)
+    for letter in systems:
+        first = SYSTEMS.index(letter) * SATELLITES_PER_SYSTEM
+        allowed[first : first + SATELLITES_PER_SYSTEM] = True
+    for name in excluded:
+        allowed[satellite_number(name)] = False
+    return allowed
 
 
 def signal_number(code: str) -> int:
@@ -46,13 +63,13 @@ def signal_code(signal: int) -> str:
 @kernel
 def system_of(satellite: int) -> int:
     """Return the system (GPS, GLONASS, ...) of a satellite number."""
-    return satellite // 64
+    return satellite // SATELLITES_PER_SYSTEM
 
 
 @kernel
 def band_of(signal: int) -> int:
     """Return the RINEX band (1 to 9) of a signal number."""
-    return signal // 26
+    return signal // ATTRIBUTES
 
 
 @kernel
@@ -61,8 +78,8 @@ def carrier_hz(satellite: int, signal: int, channel: int) -> float:
 
     RINEX 3.05 tables 4 to 10. ``channel`` is the GLONASS frequency number (-7 to +6), used only for FDMA signals.
     """
-    system, band = satellite // 64, signal // 26
-    if system == 1:
+    system, band = satellite // SATELLITES_PER_SYSTEM, signal // ATTRIBUTES
+    if system == GLONASS:
         if band == 1 or band == 2:
             if channel < -7 or channel > 13:
                 return 0.0
@@ -72,9 +89,9 @@ def carrier_hz(satellite: int, signal: int, channel: int) -> float:
         if band == 6:
             return 1248.06e6
         return 1202.025e6 if band == 3 else 0.0
-    if system == 3 and band == 2:
+    if system == BEIDOU and band == 2:
         return 1561.098e6
-    if system == 3 and band == 6:
+    if system == BEIDOU and band == 6:
         return 1268.52e6
     if band == 1:
         return 1575.42e6

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
-from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, GLONASS, NO_CHANNEL, carrier_hz
+from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, GLONASS, NO_CHANNEL, SATELLITES_PER_SYSTEM, carrier_hz
 from rtkmesh.models.ephemeris_table import CHANNEL
 from rtkmesh.models.orbit import group_delay_m
 
@@ -59,7 +59,7 @@ def choose_codes(satellite: NDArray[np.int16], signal: NDArray[np.int16], pseudo
             chosen[count, 0], chosen[count, 1] = i, -1
             count += 1
             continue
-        _rank_in(int(satellite[i]) // 64, signal, i, chosen[count - 1])
+        _rank_in(int(satellite[i]) // SATELLITES_PER_SYSTEM, signal, i, chosen[count - 1])
     return count
 
 
@@ -95,7 +95,7 @@ def fill_work(rows: Matrix, satellite: NDArray[np.int16], signal: NDArray[np.int
         if own == NO_CHANNEL and np.isfinite(rows[i, CHANNEL]):
             own = int(rows[i, CHANNEL])
         band_hz = carrier_hz(number, code, own)
-        work[i, GROUP] = CLOCK_OF_SYSTEM[number // 64]
+        work[i, GROUP] = CLOCK_OF_SYSTEM[number // SATELLITES_PER_SYSTEM]
         work[i, CODE] = pseudorange_m[first] - group_delay_m(rows[i], code)
         work[i, IONOSPHERE] = (_L1_HZ / band_hz) ** 2 if band_hz > 0.0 else 1.0
         work[i, NOISE], work[i, GAIN] = _noise_m2(float(cn0_dbhz[first]), float(sigma_m[first])), 1.0
@@ -104,7 +104,7 @@ def fill_work(rows: Matrix, satellite: NDArray[np.int16], signal: NDArray[np.int
             other_m = float(pseudorange_m[second]) - group_delay_m(rows[i], other)
             noise_m2 = _noise_m2(float(cn0_dbhz[second]), float(sigma_m[second]))
             _combine(work[i], band_hz, other_m, carrier_hz(number, other, own), noise_m2)
-        if number // 64 == GLONASS:
+        if number // SATELLITES_PER_SYSTEM == GLONASS:
             work[i, NOISE] += _CHANNEL_BIAS_M2
         work[i, RATE] = _range_rate_mps(satellite, signal, own, doppler_hz, int(first))
 

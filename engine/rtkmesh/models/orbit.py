@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.constants import (
     BDT_MINUS_GPST_S,
     MU_BEIDOU_M3_S2,
@@ -18,7 +19,7 @@ from rtkmesh.gnss.constants import (
     SECONDS_PER_WEEK,
     SPEED_OF_LIGHT_MPS,
 )
-from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS
+from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, GALILEO, GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.ephemeris_table import (
     ACCELERATION,
     ACCURACY,
@@ -130,7 +131,8 @@ def satellite_state(row: Vector, week: int, tow_s: float, out: Vector) -> None:
 @kernel
 def _kepler_state(row: Vector, tk: float, out: Vector) -> None:
     """Write position and velocity, and add the relativistic clock term; ``tk`` is the time (s) from toe."""
-    system, number, toe_s = int(row[SATELLITE]) // 64, int(row[SATELLITE]) % 64, row[TOE_TOW]
+    satellite, toe_s = int(row[SATELLITE]), row[TOE_TOW]
+    system = satellite // SATELLITES_PER_SYSTEM
     mu, omega_earth = MU_GPS_M3_S2, OMEGA_EARTH_GPS_RADPS
     if system == GALILEO:
         mu, omega_earth = MU_GALILEO_M3_S2, OMEGA_EARTH_GALILEO_RADPS
@@ -139,7 +141,7 @@ def _kepler_state(row: Vector, tk: float, out: Vector) -> None:
     plane = np.empty(6)
     _motion_in_plane(row, tk, mu, plane, out)
     node = row[OMEGA0] + row[OMEGA_DOT] * tk - omega_earth * toe_s
-    if system == BEIDOU and (number <= 5 or number >= 59):
+    if is_geostationary(satellite):
         _turn_plane(plane, node, row[OMEGA_DOT], out)
         _turn_geostationary(omega_earth, tk, out)
     else:
@@ -224,7 +226,7 @@ def group_delay_m(row: Vector, signal: int) -> float:
     """
     if row[KIND] == NO_EPHEMERIS:
         return np.nan
-    system, band = int(row[SATELLITE]) // 64, signal // 26
+    system, band = int(row[SATELLITE]) // SATELLITES_PER_SYSTEM, signal // ATTRIBUTES
     if system == GLONASS:
         return _C * row[DELAY_1] if band == 2 or band == 6 else 0.0
     if system == GALILEO:

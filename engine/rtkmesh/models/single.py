@@ -13,7 +13,7 @@ from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.ephemeris import KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch, Signals
-from rtkmesh.gnss.signals import MAX_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
+from rtkmesh.gnss.signals import SYSTEMS, allowed_satellites
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.code_selection import (
@@ -243,16 +243,7 @@ def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Ve
     )  # fmt: skip
 
 
-@lru_cache(maxsize=64)
-def _allowed(systems: str, excluded: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Return by satellite number whether it may be used."""
-    allowed = np.zeros(MAX_SATELLITE, np.bool_)
-    for letter in systems:
-        first = SYSTEMS.index(letter) * SATELLITES_PER_SYSTEM
-        allowed[first : first + SATELLITES_PER_SYSTEM] = True
-    for name in excluded:
-        allowed[satellite_number(name)] = False
-    return allowed
+_allowed = lru_cache(maxsize=64)(allowed_satellites)
 
 
 @lru_cache(maxsize=64)

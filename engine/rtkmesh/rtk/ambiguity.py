@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.filter import factor, posterior
 from rtkmesh.rtk.lambda_search import NOT_POSITIVE_DEFINITE, OK, bootstrap_success, integer_least_squares
@@ -323,7 +324,7 @@ def compare_integers(keys_a: Indices, values_a: Vector, keys_b: Indices, values_
             break
         if keys_b[j] != keys_a[i] or not isfinite(values_a[i]) or not isfinite(values_b[j]):
             continue
-        kind = (keys_a[i] // 262144 // 64) * 262144 + keys_a[i] % 262144
+        kind = keys_a[i] // KEYS_PER_SATELLITE // SATELLITES_PER_SYSTEM * KEYS_PER_SATELLITE + keys_a[i] % KEYS_PER_SATELLITE
         offset = values_b[j] - values_a[i]
         g = 0
         while g < groups and kinds[g] != kind:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.beidou import is_geostationary
-from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM, SBAS
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SBAS, SIGNALS_PER_SATELLITE
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, difference, gain_of, pairs_of
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.length_search import Given, nearest_of_length
@@ -26,7 +26,6 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 KEPT: Final = 40
-_SIGNAL: Final = 512  # a key is (satellite * 512 + rover signal) * 512 + base signal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,9 +83,9 @@ def candidate_table(
     columns[found.row + DYNAMIC] = np.arange(len(found.row))
     integers = np.zeros((len(ranked.norms), len(keys)), np.int64)
     integers[:, columns[ranked.pairs[:, 0]]] = np.rint(ranked.integers).astype(np.int64)
-    satellite, signal = np.divmod(keys // _SIGNAL, _SIGNAL)
+    satellite, signal = np.divmod(keys // SIGNALS_PER_SATELLITE, SIGNALS_PER_SATELLITE)
     return CandidateTable(
-        satellite.astype(np.int16), signal.astype(np.int16), (keys % _SIGNAL).astype(np.int16), integers, len(ranked.pairs),
+        satellite.astype(np.int16), signal.astype(np.int16), (keys % SIGNALS_PER_SATELLITE).astype(np.int16), integers, len(ranked.pairs),
         ranked.baselines_m, ranked.cov_m2, ranked.norms, ranked.beyond,
     )  # fmt: skip
 
@@ -98,15 +97,15 @@ def _usable(f: Filter, satellites: SatelliteTable, setup: Setup, *, glonass: boo
     usable = (packed[:, T_STATE].astype(np.int64) & USED_PHASE != 0) & (packed[:, T_ELEVATION_RAD] >= setup.ambiguity_mask_rad)
     usable &= (packed[:, T_LOCK_EPOCHS] > setup.minimum_lock_epochs) & (system != SBAS)
     usable &= glonass | (system != GLONASS)
-    wanted = (satellite * _SIGNAL + satellites.signal)[usable]
+    wanted = (satellite * SIGNALS_PER_SATELLITE + satellites.signal)[usable]
     order = np.argsort(wanted)
     seen_s = f.history[:, SEEN_S]
-    row = np.flatnonzero(np.isin(f.keys // _SIGNAL, wanted) & (seen_s == seen_s.max(initial=-np.inf)))
-    kind = f.keys[row] // _SIGNAL**2 // SATELLITES_PER_SYSTEM * _SIGNAL**2 + f.keys[row] % _SIGNAL**2
-    standing = np.array([is_geostationary(number) for number in (f.keys[row] // _SIGNAL**2).tolist()], np.bool_)
+    row = np.flatnonzero(np.isin(f.keys // SIGNALS_PER_SATELLITE, wanted) & (seen_s == seen_s.max(initial=-np.inf)))
+    kind = f.keys[row] // KEYS_PER_SATELLITE // SATELLITES_PER_SYSTEM * KEYS_PER_SATELLITE + f.keys[row] % KEYS_PER_SATELLITE
+    standing = np.array([is_geostationary(number) for number in (f.keys[row] // KEYS_PER_SATELLITE).tolist()], np.bool_)
     _, group = np.unique(2 * kind + standing, return_inverse=True)  # they have a clock of their own: see ``matching``
-    weight = packed[usable, T_ELEVATION_RAD][order][np.searchsorted(wanted[order], f.keys[row] // _SIGNAL)]
-    return Candidates(row, group.astype(np.int64), f.keys[row] // _SIGNAL**2, weight)
+    weight = packed[usable, T_ELEVATION_RAD][order][np.searchsorted(wanted[order], f.keys[row] // SIGNALS_PER_SATELLITE)]
+    return Candidates(row, group.astype(np.int64), f.keys[row] // KEYS_PER_SATELLITE, weight)
 
 
 @kernel

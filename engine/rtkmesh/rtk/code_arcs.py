@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import MAX_SATELLITE, band_of
+from rtkmesh.gnss.signals import MAX_SATELLITE, SIGNALS_PER_SATELLITE, band_of
 from rtkmesh.rtk.matching import Pairs
 
 Vector = NDArray[np.float64]
@@ -22,7 +22,6 @@ Matrix = NDArray[np.float64]
 CARRIED_S: Final = 20.0
 ALONE_S: Final = 5.0
 _BANDS: Final = 10
-_SIGNALS: Final = 512  # codes of a signal in a pair's key
 
 
 def new_codes() -> Matrix:
@@ -36,7 +35,7 @@ def since_seen(seen_s: Matrix, pairs: Pairs, coded: NDArray[np.bool_], time_s: f
     since_s = np.full(len(coded), np.inf)
     for k in range(len(coded)):
         if coded[k]:
-            satellite, band = int(pairs.satellite[k]), band_of(pairs.key[k] // _SIGNALS % _SIGNALS)
+            satellite, band = int(pairs.satellite[k]), band_of(pairs.key[k] // SIGNALS_PER_SATELLITE % SIGNALS_PER_SATELLITE)
             since_s[k] = time_s - seen_s[satellite, band]
             seen_s[satellite, band] = time_s
     return since_s

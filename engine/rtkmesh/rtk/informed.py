@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import GLONASS, SYSTEMS
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.ambiguity import Candidates, Search, held_differences, pairs_of, take, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
@@ -127,7 +127,7 @@ def with_states(d: Differences, shift_ecef_m: Vector) -> Differences:
             nearer_m += d.rover_direction[k, i] * shift_ecef_m[i]
         table[k, CODE] += nearer_m
         table[k, PHASE] += nearer_m
-        if d.pairs.satellite[k] // 64 == GLONASS:
+        if d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
             table[k, CODE_VARIANCE] += _GLONASS_CODE_M**2
     return Differences(
         d.pairs, table, d.rover_direction, d.base_direction, d.azimuth_rad, d.issue, d.flagged, d.half_cycle, d.lock_s, d.base_s
@@ -175,11 +175,11 @@ def strain(f: Filter, length_m: float) -> float:
         if f.keys[k] == ZENITH_KEY:
             zenith = abs(f.x[DYNAMIC + k]) / _ZENITH_M
         elif sure[k]:
-            sums[f.keys[k] // 64] += f.x[DYNAMIC + k]
-            members[f.keys[k] // 64] += 1.0
+            sums[f.keys[k] // SATELLITES_PER_SYSTEM] += f.x[DYNAMIC + k]
+            members[f.keys[k] // SATELLITES_PER_SYSTEM] += 1.0
     for k in range(len(f.keys)):
         if sure[k]:
-            system = f.keys[k] // 64
+            system = f.keys[k] // SATELLITES_PER_SYSTEM
             total += (f.x[DYNAMIC + k] - sums[system] / members[system]) ** 2
             count += 1
     may_m = _IONOSPHERES[0] * length_m + _IONOSPHERES[1]
@@ -195,7 +195,7 @@ def _held_on_two_bands(f: Filter) -> NDArray[np.bool_]:
             continue
         count = 0
         for j in range(len(out)):
-            mine = f.keys[j] >= FIRST_PAIR_KEY and f.keys[j] // 262144 == f.keys[k]
+            mine = f.keys[j] >= FIRST_PAIR_KEY and f.keys[j] // KEYS_PER_SATELLITE == f.keys[k]
             count += 1 if mine and np.isfinite(f.history[j, INTEGER]) else 0
         out[k] = count >= 2
     return out

@@ -20,6 +20,12 @@ Matrix = NDArray[np.float64]
 OK: Final = 0
 NOT_POSITIVE_DEFINITE: Final = 1
 NODE_LIMIT: Final = 2  # the search was cut off: the candidates are not proven to be the best
+FOUND: Final = 3  # there is one more vector
+
+# Rows of a walk, a column per ambiguity (level): its conditional variance (D) and the float (z); the conditional mean under the integers of
+# the levels above, the integer that is tried, the step to the next one, and the squared norm of the levels above.
+VARIANCE, FLOAT, MEAN, TRIAL, STEP, DIST = range(6)
+WALK: Final = 6
 
 
 @kernel
@@ -131,53 +137,87 @@ def _swap(L: Matrix, D: Vector, back: Matrix, z: Vector, k: int, swapped: float)
 
 
 @kernel
-def search(L: Matrix, D: Vector, z: Vector, first: int, node_limit: int, candidates: Matrix, norms: Vector) -> int:
-    """Find the integer vectors nearest to z[first:] in the metric of L' D L, best first (MLAMBDA section 4).
+def new_walk(D: Vector, z: Vector) -> Matrix:
+    """Return a walk (WALK x n) through the integer vectors near z, at the last level: there the search begins."""
+    n = len(D)
+    walk = np.zeros((WALK, n))
+    walk[VARIANCE], walk[FLOAT] = D, z
+    _begin_level(walk, n - 1, 0.0)
+    return walk
 
-    ``candidates`` (m x n) and ``norms`` (m) receive the m best; columns before ``first`` are not touched.
-    Return OK or NODE_LIMIT.
+
+@kernel
+def _begin_level(walk: Matrix, k: int, shift: float) -> None:
+    """Try the integer nearest to the conditional mean of level k, to which the levels above add ``shift``."""
+    walk[MEAN, k] = walk[FLOAT, k] + shift
+    walk[TRIAL, k] = np.rint(walk[MEAN, k])
+    walk[STEP, k] = 1.0 if walk[MEAN, k] >= walk[TRIAL, k] else -1.0
+
+
+@kernel
+def go_on(walk: Matrix, k: int) -> None:
+    """Try the next integer of level k: nearest first, from side to side (Schnorr-Euchner)."""
+    walk[TRIAL, k] += walk[STEP, k]
+    walk[STEP, k] = -walk[STEP, k] - (1.0 if walk[STEP, k] > 0.0 else -1.0)
+
+
+@kernel
+def next_vector(L: Matrix, S: Matrix, walk: Matrix, k: int, limit: float, nodes: int) -> tuple[int, float, int]:
+    """Walk from level k to the next integer vector of a squared norm below ``limit``, which is TRIAL then; level 0 is where to go on.
+
+    ``S[k, j]`` (n x n, work) is what the levels above k add to the conditional mean of j. Return FOUND, OK (there is none any more) or
+    NODE_LIMIT; the squared norm; how many of the ``nodes`` are left. Plain arrays, not a tuple of them: that would cost every vector more
+    than its walk.
     """
-    n, m = len(D), len(norms)
-    S = np.zeros((n, n))  # S[k, j]: what the levels above k add to the conditional mean of j
-    dist, mean, trial, step = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    found, worst, limit = 0, 0, np.inf
-    k = n - 1
-    mean[k] = z[k]
-    trial[k] = np.rint(mean[k])
-    step[k] = 1.0 if mean[k] >= trial[k] else -1.0
-    for _ in range(node_limit):
-        offset = mean[k] - trial[k]
-        total = dist[k] + offset * offset / D[k]
+    n = L.shape[0]
+    for used in range(nodes):
+        offset = walk[MEAN, k] - walk[TRIAL, k]
+        total = walk[DIST, k] + offset * offset / walk[VARIANCE, k]
         if total < limit:
-            if k != first:
-                k -= 1
-                dist[k] = total
-                for j in range(first, k + 1):
-                    S[k, j] = S[k + 1, j] + (trial[k + 1] - mean[k + 1]) * L[k + 1, j]
-                mean[k] = z[k] + S[k, k]
-                trial[k] = np.rint(mean[k])
-                step[k] = 1.0 if mean[k] >= trial[k] else -1.0
-                continue
-            place = found if found < m else worst
-            for j in range(first, n):
-                candidates[place, j] = trial[j]
-            norms[place] = total
-            if found < m:
-                found += 1
-            if found == m:
-                worst = 0
-                for j in range(1, m):
-                    if norms[j] > norms[worst]:
-                        worst = j
-                limit = norms[worst]
-        else:
-            if k == n - 1:
-                _sort(candidates, norms)
-                return OK
-            k += 1
-        trial[k] += step[k]
-        step[k] = -step[k] - (1.0 if step[k] > 0.0 else -1.0)
-    return NODE_LIMIT
+            if k == 0:
+                return FOUND, total, nodes - used - 1
+            k -= 1
+            walk[DIST, k] = total
+            for j in range(k + 1):
+                S[k, j] = S[k + 1, j] - offset * L[k + 1, j]
+            _begin_level(walk, k, S[k, k])
+            continue
+        if k == n - 1:
+            return OK, total, 0
+        k += 1
+        go_on(walk, k)
+    return NODE_LIMIT, 0.0, 0
+
+
+@kernel
+def search(L: Matrix, D: Vector, z: Vector, node_limit: int, candidates: Matrix, norms: Vector) -> int:
+    """Find the integer vectors nearest to z in the metric of L' D L, best first, in an ellipsoid that shrinks (MLAMBDA section 4).
+
+    ``candidates`` (m x n) and ``norms`` (m) receive the m best. Return OK or NODE_LIMIT.
+    """
+    m, walk, S = len(norms), new_walk(D, z), np.zeros(L.shape)
+    found, worst, limit, k, left = 0, 0, np.inf, len(D) - 1, node_limit
+    while True:
+        status, total, left = next_vector(L, S, walk, k, limit, left)
+        if status != FOUND:
+            break
+        place = found if found < m else worst
+        for j in range(len(D)):
+            candidates[place, j] = walk[TRIAL, j]
+        norms[place] = total
+        if found < m:
+            found += 1
+        if found == m:
+            worst = 0
+            for j in range(1, m):
+                if norms[j] > norms[worst]:
+                    worst = j
+            limit = norms[worst]
+        k = 0
+        go_on(walk, k)
+    if status == OK:
+        _sort(candidates, norms)
+    return status
 
 
 @kernel
@@ -260,7 +300,7 @@ def integer_least_squares(a: Vector, Q: Matrix, node_limit: int, fixed: Matrix, 
     if not there.ok:
         return NOT_POSITIVE_DEFINITE
     candidates = np.zeros((len(norms), len(a)))
-    status = search(there.L, there.D, there.z, 0, node_limit, candidates, norms)
+    status = search(there.L, there.D, there.z, node_limit, candidates, norms)
     if status == OK:
         restore(candidates, there, fixed)
     return status

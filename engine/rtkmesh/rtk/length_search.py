@@ -1,7 +1,7 @@
 """Integer vectors by their squared norm and the misfit of a baseline's known length together.
 
 The length is met only when all integers are chosen: the right vector may be thousands down the list of norms. So all that are near enough
-to matter are looked at, and the best by both are kept. The enumeration is that of ``lambda_search.search``; the baseline goes along.
+to matter are looked at, and the best by both are kept. The walk is that of ``lambda_search``; the baseline goes along.
 """
 
 from math import exp, isfinite, lgamma, log, pi, sqrt
@@ -12,7 +12,19 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.models.odds import PRIOR_DOF
-from rtkmesh.rtk.lambda_search import NODE_LIMIT, NOT_POSITIVE_DEFINITE, OK, Decorrelated, bootstrap_success, decorrelate, restore
+from rtkmesh.rtk.lambda_search import (
+    FOUND,
+    NOT_POSITIVE_DEFINITE,
+    OK,
+    TRIAL,
+    Decorrelated,
+    bootstrap_success,
+    decorrelate,
+    go_on,
+    new_walk,
+    next_vector,
+    restore,
+)
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -82,41 +94,23 @@ def farthest(D: Vector) -> float:
 @kernel
 def _enumerate(there: Decorrelated, given: Given, nodes: int, candidates: Matrix, norms: Vector, totals: Vector) -> tuple[int, float]:
     """Write the best vectors in any order; see ``nearest_of_length``."""
-    L, D, z, n = there.L, there.D, there.z, len(there.z)
-    S, dist, mean, trial, step = np.zeros((n, n)), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    seen, worst, best, limit, most = 0, 0, np.inf, np.inf, farthest(D)
-    k = n - 1
-    mean[k] = z[k]
-    trial[k] = np.rint(mean[k])
-    step[k] = 1.0 if mean[k] >= trial[k] else -1.0
-    for _ in range(nodes):
-        offset = mean[k] - trial[k]
-        total = dist[k] + offset * offset / D[k]
-        if total < limit:
-            if k != 0:
-                k -= 1
-                dist[k] = total
-                for j in range(k + 1):
-                    S[k, j] = S[k + 1, j] + (trial[k + 1] - mean[k + 1]) * L[k + 1, j]
-                mean[k] = z[k] + S[k, k]
-                trial[k] = np.rint(mean[k])
-                step[k] = 1.0 if mean[k] >= trial[k] else -1.0
-                continue
-            seen += 1
-            with_length = total + misfit_of(trial, given)
-            best = min(best, with_length)
-            if with_length < totals[worst]:
-                candidates[worst], norms[worst], totals[worst] = trial, total, with_length
-                worst = np.argmax(totals)
-            if seen >= FEWEST:
-                limit = min(limit, most, enough(best, n), totals[worst])
-        else:
-            if k == n - 1:
-                return OK, limit
-            k += 1
-        trial[k] += step[k]
-        step[k] = -step[k] - (1.0 if step[k] > 0.0 else -1.0)
-    return NODE_LIMIT, 0.0
+    n, walk, S = len(there.z), new_walk(there.D, there.z), np.zeros(there.L.shape)
+    seen, worst, best, limit, most, k, left = 0, 0, np.inf, np.inf, farthest(there.D), n - 1, nodes
+    trial, place = walk[TRIAL], np.empty(3)
+    while True:
+        status, norm, left = next_vector(there.L, S, walk, k, limit, left)
+        if status != FOUND:
+            return status, limit if status == OK else 0.0
+        seen += 1
+        with_length = norm + misfit_of(trial, given, place)
+        best = min(best, with_length)
+        if with_length < totals[worst]:
+            candidates[worst], norms[worst], totals[worst] = trial, norm, with_length
+            worst = np.argmax(totals)
+        if seen >= FEWEST:
+            limit = min(limit, most, enough(best, n), totals[worst])
+        k = 0
+        go_on(walk, k)
 
 
 @kernel
@@ -126,12 +120,13 @@ def enough(best: float, count: int) -> float:
 
 
 @kernel
-def misfit_of(integers: Vector, given: Given) -> float:
-    """Return the squared misfit of the length under these integers."""
-    place = given.mean_m.copy()
+def misfit_of(integers: Vector, given: Given, place: Vector) -> float:
+    """Return the squared misfit of the length under these integers; ``place`` (3) receives the baseline (m) that they give."""
     for i in range(3):
+        total_m = given.mean_m[i]
         for j in range(len(integers)):
-            place[i] += given.gain[i, j] * integers[j]
+            total_m += given.gain[i, j] * integers[j]
+        place[i] = total_m
     return length_misfit(place, given.cov_m2, given.length_m, given.sigma_m)
 
 

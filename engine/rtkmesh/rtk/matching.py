@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.epoch import Signals
-from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, SATELLITES_PER_SYSTEM, SYSTEMS, satellite_number
+from rtkmesh.gnss.signals import ATTRIBUTES, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SIGNALS_PER_SATELLITE, SYSTEMS, allowed_satellites
 
 Vector = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -92,13 +93,7 @@ class Pairs(NamedTuple):
 
 def matching_rules(systems: str, frequencies: int, excluded: tuple[str, ...] = (), cn0_mask_dbhz: float = 0.0) -> Rules:
     """Return the rules for RINEX letters of systems, a number of bands, excluded RINEX ids and a least C/N0."""
-    allowed = np.zeros(len(SYSTEMS) * SATELLITES_PER_SYSTEM, np.bool_)
-    for system in systems:
-        first = SYSTEMS.index(system) * SATELLITES_PER_SYSTEM
-        allowed[first : first + SATELLITES_PER_SYSTEM] = True
-    for satellite_id in excluded:
-        allowed[satellite_number(satellite_id)] = False
-    return Rules(allowed, frequencies, cn0_mask_dbhz, _ORDER, _RANK, _FAMILY)
+    return Rules(allowed_satellites(systems, excluded), frequencies, cn0_mask_dbhz, _ORDER, _RANK, _FAMILY)
 
 
 @kernel
@@ -163,12 +158,12 @@ def _match(
             j_end += 1
         if allowed[satellite]:
             used = 0
-            for band in order[satellite // 64]:
+            for band in order[satellite // SATELLITES_PER_SYSTEM]:
                 if band == 0 or used == frequencies or count == len(out):
                     break
                 if _best_pair(
                     rover_signal, rover_usable, i, i_end, base_signal, base_usable, j, j_end, band,
-                    rank[satellite // 64, band], family[satellite // 64, band], out[count],
+                    rank[satellite // SATELLITES_PER_SYSTEM, band], family[satellite // SATELLITES_PER_SYSTEM, band], out[count],
                 ):  # fmt: skip
                     used += 1
                     count += 1
@@ -246,12 +241,6 @@ def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int6
 
 
 @kernel
-def is_geostationary(number: int) -> bool:
-    """Return whether this is the number of a geostationary satellite of BeiDou (BDS-SIS-ICD B1I 3.0, 3.1)."""
-    return number // 64 == BEIDOU and (number % 64 <= 5 or number % 64 >= 59)
-
-
-@kernel
 def _keys(count: int, satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16], table: Indices) -> int:
     """Write the key and the clock group of each pair; return the number of groups (numbered in the order of their content).
 
@@ -260,10 +249,10 @@ def _keys(count: int, satellite: NDArray[np.int16], rover_signal: NDArray[np.int
     """
     kind, kinds, groups = np.empty(count, np.int64), np.empty(count, np.int64), 0
     for k in range(count):
-        signals = int(rover_signal[table[ROVER, k]]) * 512 + int(base_signal[table[BASE, k]])
+        signals = int(rover_signal[table[ROVER, k]]) * SIGNALS_PER_SATELLITE + int(base_signal[table[BASE, k]])
         number = int(satellite[k])
-        table[KEY, k] = number * 262144 + signals
-        kind[k] = (number // 64 + (_STANDING if is_geostationary(number) else 0)) * 262144 + signals
+        table[KEY, k] = number * KEYS_PER_SATELLITE + signals
+        kind[k] = (number // SATELLITES_PER_SYSTEM + (_STANDING if is_geostationary(number) else 0)) * KEYS_PER_SATELLITE + signals
         place = 0
         while place < groups and kinds[place] < kind[k]:
             place += 1

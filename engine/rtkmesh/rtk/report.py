@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Epoch
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SIGNALS_PER_SATELLITE
 from rtkmesh.models.code_selection import USED
 from rtkmesh.models.single import Located, SingleStatus
 from rtkmesh.models.single_adjustment import CONVERGED
@@ -45,7 +46,18 @@ from rtkmesh.rtk.solution import (
     Solution,
     Status,
 )
-from rtkmesh.rtk.state import ARC_EPOCHS, ARC_S, DYNAMIC, FIRST_PAIR_KEY, INTEGER, REJECTS, SLIPS, SLOPE_KEY, ZENITH_KEY, Filter
+from rtkmesh.rtk.state import (
+    ARC_EPOCHS,
+    ARC_S,
+    DYNAMIC,
+    FIRST_PAIR_KEY,
+    INTEGER,
+    REJECTS,
+    SLIPS,
+    SLOPE_KEY,
+    ZENITH_KEY,
+    Filter,
+)
 from rtkmesh.rtk.update import Layout, Update
 from rtkmesh.rtk.validation import Resolution
 from rtkmesh.rtk.verdict import verdict
@@ -247,7 +259,8 @@ def describe_pairs(f: Filter, d: Differences, layout: Layout, update: Update, fi
             row[T_AMBIGUITY_CYC], row[T_LOCK_S], row[T_SLIPS] = f.x[DYNAMIC + place], time_s - history[ARC_S], history[SLIPS]
             row[T_VARIANCE_CYC2] = f.P[DYNAMIC + place, DYNAMIC + place]
             row[T_LOCK_EPOCHS], row[T_REJECTS] = history[ARC_EPOCHS], history[REJECTS]
-        row[T_SATELLITE], row[T_SIGNAL], row[T_STATE] = d.pairs.satellite[k], (d.pairs.key[k] % 262144) // 512, bits
+        row[T_SATELLITE], row[T_STATE] = d.pairs.satellite[k], bits
+        row[T_SIGNAL] = d.pairs.key[k] % KEYS_PER_SATELLITE // SIGNALS_PER_SATELLITE
         row[T_AZIMUTH_RAD], row[T_ELEVATION_RAD], row[T_CN0_DBHZ] = d.azimuth_rad[k], d.table[k, ELEVATION_RAD], d.table[k, CN0]
         row[T_CODE_M], row[T_PHASE_M] = update.code_residual_m[k], update.phase_residual_m[k]
     return out

@@ -58,7 +58,7 @@ def wavelengths(
             own = int(known[number])
         f = carrier_hz(number, int(signal[row[k]]), own)
         wavelength_m[k] = _C / f if f > 0.0 else np.nan
-        channels[k] = own if number // 64 == GLONASS and own != NO_CHANNEL else 0.0
+        channels[k] = own if system_of(number) == GLONASS and own != NO_CHANNEL else 0.0
 
 
 @kernel

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch
-from rtkmesh.gnss.signals import MAX_SATELLITE
+from rtkmesh.gnss.signals import MAX_SATELLITE, SIGNALS_PER_SATELLITE
 from rtkmesh.gnss.time import GpsTime
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
-_SIGNALS: Final = 512  # more than there are signal numbers
 _LAST_S: Final = 1e-3  # a phase was tracked for a moment beyond its last epoch: an arc that ends behind a gap is longer than the gap
 
 
@@ -32,7 +31,7 @@ class Reversal:
     """
 
     def __init__(self) -> None:
-        count = MAX_SATELLITE * _SIGNALS
+        count = MAX_SATELLITE * SIGNALS_PER_SATELLITE
         # Of the last epoch that was turned with a usable phase of a signal, which is the next one on the recording's own clock.
         self._at_s: Vector = np.full(count, np.nan)
         self._lock_s: Vector = np.full(count, np.nan)
@@ -45,7 +44,7 @@ class Reversal:
     def turn(self, epoch: Epoch) -> Epoch:
         """Return the epoch with the slip flags and lock times (s) of a receiver on whose clock it follows the one that was turned last."""
         self._first = self._first or epoch.time
-        now_s, key = epoch.time - self._first, epoch.satellite.astype(np.int64) * _SIGNALS + epoch.signal
+        now_s, key = epoch.time - self._first, epoch.satellite.astype(np.int64) * SIGNALS_PER_SATELLITE + epoch.signal
         elapsed_s = np.abs(self._at_s[key] - now_s)
         broken = self._broken(key, epoch.lock_s, elapsed_s)
         left_s = np.where(broken | np.isnan(elapsed_s), _LAST_S, self._left_s[key] + elapsed_s)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import INTEGER, Filter
 from rtkmesh.rtk.update import Layout
@@ -57,7 +58,7 @@ def code_ranges(d: Differences, used: NDArray[np.bool_], factors: Vector, turn: 
     """Return the codes; ``factors`` are those of code variances per system, ``turn`` takes ECEF to east-north-up."""
     out = _empty_ranges(d, turn)
     for k in range(len(out.weight)):
-        variance = d.table[k, CODE_VARIANCE] * factors[int(d.pairs.satellite[k]) // 64]
+        variance = d.table[k, CODE_VARIANCE] * factors[int(d.pairs.satellite[k]) // SATELLITES_PER_SYSTEM]
         _put(out, k, d.table[k, CODE], variance, used[k])
     _take_clocks(out)
     return out

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import MAX_SATELLITE
+from rtkmesh.gnss.signals import GLONASS, MAX_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.code_arcs import new_codes
 from rtkmesh.rtk.filter import merge_keys, rearrange
@@ -18,7 +18,7 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 ZENITH_KEY: Final = 0
-SLOPE_KEY: Final = 64  # GLONASS satellite number 0: no satellite
+SLOPE_KEY: Final = GLONASS * SATELLITES_PER_SYSTEM  # GLONASS satellite number 0: no satellite
 FIRST_PAIR_KEY: Final = MAX_SATELLITE  # below: ionosphere states (satellite numbers), the GLONASS slope and the zenith delay
 
 # Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.filter import (
     AT_AMBIGUITY,
     AT_IONOSPHERE,
@@ -159,7 +160,7 @@ def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector
     for k in range(n):
         sin_el = np.sin(table[k, ELEVATION_RAD])
         mapping = 1.001 / np.sqrt(0.002001 + sin_el * sin_el)  # Black and Eisner 1984
-        scale = factors[int(d.pairs.satellite[k]) // 64]
+        scale = factors[int(d.pairs.satellite[k]) // SATELLITES_PER_SYSTEM]
         for part in range(2):
             row = k + part * n
             for i in range(3):
@@ -188,7 +189,7 @@ def code_statistics(d: Differences, work: Work, out: Matrix) -> None:
     """Write, per system, sums of squared code residuals normalised by the sigma for a factor of 1, and their redundancy."""
     out[:, :] = 0.0
     for k in range(len(d.pairs.satellite)):
-        w, system = work.observations[k, W], int(d.pairs.satellite[k]) // 64
+        w, system = work.observations[k, W], int(d.pairs.satellite[k]) // SATELLITES_PER_SYSTEM
         if not w > 0.0:
             continue
         redundancy = min(max(work.variance[k] * w, 0.0), 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, Search, pairs_of, search_pairs
 from rtkmesh.rtk.lambda_search import OK
@@ -17,7 +17,6 @@ Indices = NDArray[np.int64]
 
 LEAST: Final = 6  # integers of the others: those of five are lost with one, and GLONASS's own, which would stay, are not held
 RIVALS: Final = 8  # vectors among which the first with other integers of the others is looked for
-KEYS_PER_SATELLITE: Final = 262144
 
 
 @kernel

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP
-from rtkmesh.gnss.signals import GLONASS
+from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.geometry import E_X, E_Y, E_Z, ELEVATION, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, line_of_sight, receiver_geometry
 from rtkmesh.models.orbit import STATE_CLOCK, STATE_CLOCK_RATE, STATE_OK, group_delay_m, satellite_state
 from rtkmesh.simulation.surroundings import ATTENUATION_DB, CODE_SIGMA_M, EXTRA_M, EXTRA_RATE_MPS, PATH, PHASE_SIGMA_M
@@ -223,7 +223,7 @@ def measure(
     """
     count = 0
     for i in range(track.shape[0]):
-        system = int(rows[i, 1]) // 64
+        system = int(rows[i, 1]) // SATELLITES_PER_SYSTEM
         for j in range(SLOTS):
             state = track[i, j]
             if np.isnan(state[SINCE]) or signals[i, j] < 0:

@@ -20,8 +20,6 @@ EXIT_UNREACHABLE: Final = 3
 EXIT_REFUSED: Final = 4
 EXIT_TIMEOUT: Final = 124
 
-EXIT_CODES: Final = "Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 not reachable, 4 refused, 124 no answer in time."
-
 _EXIT_OF: Final = {
     Code.ABSENT: EXIT_UNREACHABLE,
     Code.UNREACHABLE: EXIT_UNREACHABLE,

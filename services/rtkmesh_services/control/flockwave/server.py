@@ -72,11 +72,6 @@ class FlockwaveServer:
         """The port of TCP, 0: none."""
         return 0 if self._listener is None else int(self._listener.getsockname()[1])
 
-    @property
-    def udp_port(self) -> int:
-        """The port of UDP, 0: none."""
-        return 0 if self._datagrams is None else int(self._datagrams.getsockname()[1])
-
     def start(self) -> None:
         """Begin to serve."""
         self._thread.start()

@@ -17,7 +17,6 @@ from rtkmesh_services.mapping.solution import satellites_message
 from rtkmesh_services.texts.times import calendar, instant
 
 SLOTS: Final = ("L1", "L2", "L5", "L6", "L7")
-DEFAULT_SLOTS: Final = 2
 
 
 def slot_of(satellite: str, signal: str) -> int | None:
