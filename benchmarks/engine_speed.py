@@ -36,7 +36,7 @@ CASES = (
     ),
 )  # fmt: skip
 WARM = 5
-STAGES = ("locate", "take_step", "report")  # the compiled calls of a step, and its last
+STAGES = ("locate_epoch", "take_step", "report")  # the compiled calls of a step, and its last
 
 
 def seconds(time_):

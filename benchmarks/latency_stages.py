@@ -54,7 +54,7 @@ STAGES = {
 Stamps = dict[str, dict[float, int]]
 
 
-def child(role: str, name: str, file: str, out: str) -> None:
+def child(role: str, name: str, file: str, out: str, stampers: dict[str, Callable[[str, Stamps], None]]) -> None:
     """Run one process of the deployment with stamps; write them when it ends."""
     from rtkmesh_services.runtime.kernel_cache import use_kernel_cache
 
@@ -62,7 +62,7 @@ def child(role: str, name: str, file: str, out: str) -> None:
     from rtkmesh_services.cli import main
 
     stamps: Stamps = {}
-    {"ingest": stamp_ingest, "solver": stamp_solver}.get(role, lambda *_: None)(name, stamps)
+    stampers.get(role, lambda *_: None)(name, stamps)
     from rtkmesh_services.runtime import process
 
     leave = process.leave
@@ -252,7 +252,7 @@ def main() -> None:
     p.add_argument("--json", action="store_true"), p.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     o = p.parse_args()
     if o.child:
-        child(*o.child)
+        child(*o.child, {"ingest": stamp_ingest, "solver": stamp_solver})
         return
     result = run(Path(o.data), o.rate, o.seconds)
     if o.json:

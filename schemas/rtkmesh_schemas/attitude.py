@@ -41,13 +41,14 @@ class AttitudeMessage(Wire, frozen=True, kw_only=True):
     the reason. Quaternions (w, x, y, z): ``ned_from_body`` of axes forward,
     right, down; ``enu_from_flu`` of axes forward, left, up (ROS); NaN without heading, an unseen angle is level in them, and
     ``rotation_cov_ned_rad2`` (of the small rotation in NED) says how uncertain. ``rate_radps``: forward, right, down, of the filter.
-    ``points``: of the body. ``predicted_s``: since the last measurement, of the filter's. ``waited_ms``: from the arrival of the
-    last source of the epoch to the publication; ``resets`` of the filter. ``geometry``: what became of the choice of integers by the
-    known places (accepted, or why not; empty: it was not needed) and the probability that what was accepted is wrong.
+    ``points``: of the body. ``predicted_s``: since the last measurement, of the filter's. ``waited_ms``: from the arrival of the last
+    message of the epoch at the process until the attitude is handed over, but for its encoding; ``resets`` of the filter. ``geometry``:
+    what became of the choice of integers by the known places (accepted, or why not; empty: it was not needed) and the probability that
+    what was accepted is wrong.
 
     ``protection_rad``: heading, pitch and roll are further off than these with the configured risk, by what docs/concepts/rigid-body.md
     assumes; infinite: nothing bounds the error; NaN: not seen, or not of an epoch (the filter's). ``protection_open``: antennas whose fault
-    no other would show.
+    no other would show; where a level is finite all the same it is bounded by the satellites of their baseline.
     """
 
     source: str

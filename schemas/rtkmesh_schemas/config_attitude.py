@@ -105,7 +105,7 @@ class AttitudeIntegrityTable(Table, frozen=True, kw_only=True, forbid_unknown_fi
 
     ``antenna_fault``: prior probability per epoch that what one antenna measures is off by more than its sigmas say, beside wrong integers,
     whose probability the solvers tell. An attitude with levels above ``alert_heading_deg`` or ``alert_tilt_deg`` (pitch and roll) is
-    ``unavailable``.
+    ``unavailable``. Levels of two antennas are those of their baseline: its solver's ``risk`` should be the same.
     """
 
     risk: Annotated[float, Meta(ge=1e-12, le=0.1)] = 1e-5

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from tests.attitude.draws import compiled_only
 
 from rtkmesh.attitude.chi_square import chi_square_limit
 from rtkmesh.attitude.integrity import Finding, detection_power, distance_test, judged, noncentral_tail
@@ -49,6 +50,7 @@ def test_the_published_detection_table_is_met(fault_mm: tuple[float, float, floa
     assert np.mean(np.abs(sums - 4.0) > 0.081) == pytest.approx(perimeter, abs=0.06)
 
 
+@compiled_only
 def test_power_is_that_of_draws():
     """The formula against fits."""
     fault = np.zeros((4, 3))
@@ -58,6 +60,7 @@ def test_power_is_that_of_draws():
     assert detection_power(SQUARE, COV, fault, TRUTH, 0.01) == pytest.approx(rate, abs=0.05)
 
 
+@compiled_only
 def test_faults_are_identified_or_said_not_to_be():
     """A clear horizontal fault is excluded and the right antenna; a vertical one of a plane cannot be told and is not guessed."""
     clear = [judged(SQUARE, positions(draw, COV)) for draw in draws((120.0, 0.0, 0.0), 120)]
@@ -71,6 +74,7 @@ def test_faults_are_identified_or_said_not_to_be():
     assert all("a" in j.suspects for j in open_)
 
 
+@compiled_only
 def test_what_follows_an_exclusion_is_honest():
     """The attitude without the antenna is within the sigmas that are said for it."""
     errors: list[float] = []
@@ -84,6 +88,7 @@ def test_what_follows_an_exclusion_is_honest():
     assert 0.75 < np.mean(errors) < 1.3
 
 
+@compiled_only
 def test_false_alarms_are_as_configured():
     """One in a hundred when one in a hundred is asked for."""
     clean = [judged(SQUARE, positions(draw, COV), false_alarm=0.01).finding is not Finding.OK for draw in draws((0.0, 0.0, 0.0), 1500)]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.attitude.draws import compiled_only
 
 from rtkmesh.attitude.chi_square import chi_square_limit
 from rtkmesh.attitude.design import Noise, design, noncentrality_for
@@ -85,6 +86,7 @@ def test_faults_that_nothing_sees_are_infinite():
 
 @pytest.mark.parametrize("layout", [TRIANGLE, SQUARE])
 @pytest.mark.parametrize("axis", [0, 1, 2])
+@compiled_only
 def test_injected_faults_are_found_as_often_as_designed(layout: Layout, axis: int):
     """Draws of noise with the smallest fault of an antenna; what is said to be found by nothing is found as seldom as no fault."""
     noise, rng, n = Noise(0.005, 0.01), np.random.default_rng(axis), len(layout.names)

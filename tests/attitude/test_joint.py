@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.attitude.draws import compiled_only
 
 from rtkmesh.attitude.joint import Edge, angles_covariance, heading_edge, joint, made_positive, point_of, receiver_variances
 from rtkmesh.attitude.rigid_body import Layout, Shape, fit
@@ -77,6 +78,7 @@ def test_covariances_that_rounding_spoilt_are_made_positive():
         [("base", "a"), ("a", "b"), ("a", "c")],
     ],
 )
+@compiled_only
 def test_sigmas_are_those_of_draws(pairs: list[tuple[str, str]]):
     """Attitude (and chi-square) of 1500 draws in which receivers and the base have errors of their own."""
     generator = np.random.default_rng(7)

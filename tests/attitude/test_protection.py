@@ -1,15 +1,18 @@
 """Protection levels of attitude: closed forms, refits without each antenna, and how often injected faults leave them."""
 
-from math import inf, log, radians, sqrt
+from math import asin, cos, inf, log, nan, radians, sin, sqrt
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
+from tests.attitude.draws import compiled_only
 
 from rtkmesh.attitude.design import Noise, design
 from rtkmesh.attitude.integrity import Finding, judged
 from rtkmesh.attitude.joint import Edge, joint, rotation_covariance
-from rtkmesh.attitude.protection import INFLATION, Guarding, fault_priors, levels, widening
+from rtkmesh.attitude.protection import INFLATION, Guarding, Told, baseline_levels, fault_priors, levels, widening
 from rtkmesh.attitude.rigid_body import Fit, Layout, Measured, fit, positions
 from rtkmesh.attitude.rotation import angles_per_error, rotation_of_angles, vector_of, wrapped
 
@@ -73,6 +76,7 @@ def test_the_attitude_without_an_antenna_is_that_of_a_fit_without_it(layout: Lay
 
 
 @pytest.mark.parametrize("layout", [SQUARE, TRIANGLE])
+@compiled_only
 def test_injected_faults_stay_within_the_levels(layout: Layout, monkeypatch: pytest.MonkeyPatch):
     """Faults in every epoch, and sigmas that are exact and not inflated: of what passes the tests a good part is beyond 3.4 sigmas,
     and no larger share beyond its levels than each hypothesis may have.
@@ -94,6 +98,7 @@ def test_injected_faults_stay_within_the_levels(layout: Layout, monkeypatch: pyt
     assert by_level < 3 * 0.08 / len(layout.names) * given, "three angles"
 
 
+@compiled_only
 def test_levels_of_a_wrong_exclusion_reach_to_the_truth(monkeypatch: pytest.MonkeyPatch):
     """When another antenna explains the misfit nearly as well as the one that was left out, the level covers that, too."""
     monkeypatch.setattr("rtkmesh.attitude.integrity._CLEARLY_WORSE", 1.0)
@@ -188,3 +193,43 @@ def test_a_large_fault_that_is_told_leaves_what_the_others_bound(size_m: float):
     three = drawn(TRIANGLE, np.random.default_rng(2))
     found = levels(SQUARE, measured, verdict, Guarding()).rad
     np.testing.assert_allclose(found, levels(TRIANGLE, three, judged(TRIANGLE, three), Guarding()).rad, rtol=0.25)
+
+
+def test_two_antennas_are_bounded_by_the_levels_of_their_baseline():
+    """Level and along the nose: the angle that a level of the baseline is seen under; longer than the baseline it bounds nothing."""
+    north, straight = np.array([2.0, 0.0, 0.0]), np.eye(3)
+    found = baseline_levels(straight, np.array([1.0, 0.0, 0.0]), Told(north, 0.2, 0.5), Guarding(unseen_sigma_rad=0.0))
+    assert found[:2] == pytest.approx([asin(0.1), asin(0.25)])
+    assert baseline_levels(straight, np.array([1.0, 0.0, 0.0]), Told(north, 2.1, nan), Guarding()).tolist()[:2] == [inf, inf]
+    beside = baseline_levels(straight, np.array([cos(0.01), sin(0.01), 0.0]), Told(north, 0.2, 0.5), Guarding(unseen_sigma_rad=0.0))
+    assert beside[0] == pytest.approx(asin(0.1) + 0.01, rel=1e-3)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    angles=st.tuples(st.floats(0.0, 6.28), st.floats(-0.5, 0.5), st.floats(-0.3, 0.3)),
+    place=st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-0.3, 0.3)).filter(lambda p: np.hypot(p[0], p[1]) > 0.5),
+    horizontal_m=st.floats(0.001, 0.1), vertical_m=st.floats(0.001, 0.1), azimuth=st.floats(0.0, 6.28), share=st.floats(-1.0, 1.0),
+)  # fmt: skip
+def test_whatever_is_within_the_levels_of_a_baseline_is_within_those_of_the_angles(
+    angles: tuple[float, float, float],
+    place: tuple[float, float, float],
+    horizontal_m: float,
+    vertical_m: float,
+    azimuth: float,
+    share: float,
+):
+    """The worst of a baseline within its levels: of a body that turns no more about the line than the tilt that is not seen."""
+    layout = Layout(("a", "b"), np.array([[0.0, 0.0, 0.0], place]))
+    true = rotation_of_angles(*angles) @ np.array(place)
+    off = np.array([horizontal_m * cos(azimuth), horizontal_m * sin(azimuth), share * vertical_m])
+    guarding = Guarding(unseen_sigma_rad=0.0)
+    [found, right] = [
+        fit(layout, joint(layout, [Edge("a", "b", v, 1e-4 * np.eye(3))]), rotation_of_angles(*angles)) for v in (true + off, true)
+    ]
+    assert found is not None
+    assert right is not None
+    assert found.unseen_ned is not None
+    bound = baseline_levels(found.ned_from_body, found.unseen_ned, Told(true + off, horizontal_m, vertical_m), guarding)
+    errors = np.array([abs(wrapped(x - y)) for x, y in zip(found.angles_rad, right.angles_rad, strict=True)])
+    assert np.all(errors <= bound * 1.1 + 2.0 * errors.max() ** 2)  # first order

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.attitude.draws import compiled_only
 
 from rtkmesh.attitude.chi_square import chi_square_limit, chi_square_tail
 from rtkmesh.attitude.rigid_body import Layout, Measured, Shape, baselines, fit, kabsch, positions, shape_of
@@ -64,6 +65,7 @@ def test_sigmas_of_the_reference_layouts(
         assert sqrt(float(np.trace(cov)) / 3.0) == pytest.approx(centroid_mm * MM, rel=0.03)
 
 
+@compiled_only
 def test_sigmas_are_those_of_draws():
     """Roll 5, pitch -8, heading 40 degrees, 10/10/20 mm: drawn attitudes spread as the covariance says."""
     truth = rotation_of_angles(radians(40.0), radians(-8.0), radians(5.0))
@@ -138,6 +140,7 @@ def spread_deg(places: np.ndarray, truth: np.ndarray, cov: np.ndarray, believed_
     return sigmas_deg(np.cov(np.array(errors).T))
 
 
+@compiled_only
 def test_a_raised_antenna_counts_for_more_when_heights_are_known_to_be_worse():
     """Cube corner, 10/10/20 mm: the reference's 0.751/0.751/0.499 degrees are of equal weights; true weights give 0.606/0.606/0.489."""
     found = fit(layout(CUBE_CORNER), positions(CUBE_CORNER, noise(4, TALL)))

@@ -60,7 +60,8 @@ class Vehicle:
             solver=solvers,
             attitude={"body": AttitudeTable(**told | table)},
         )
-        self.clock, self.network = ManualClock(), MemoryNetwork()
+        self.clock = ManualClock()
+        self.network = MemoryNetwork(self.clock)
         self.bus = MemoryBus("body", self.network)
         context = Context(id="body", role=Role.ATTITUDE, deployment=deployment, bus=self.bus, clock=self.clock)
         self.service = AttitudeService(context)

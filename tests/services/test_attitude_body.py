@@ -351,3 +351,29 @@ def test_a_replay_drops_no_solution_however_far_behind_the_attitude_is() -> None
     for _ in range(1600):
         vehicle.life.step(0.0)
     assert len(vehicle.attitudes()) == 1500
+
+
+def test_a_source_that_was_lost_is_waited_for_again() -> None:
+    """It comes back a little after the others, which the epochs do not wait for: late once, then in."""
+    vehicle = Vehicle(wait_s=0.1)
+    for index in range(11):
+        for name in vehicle.baselines:
+            vehicle.step(0.01)
+            if name != "ad" or index < 2 or index > 7:
+                vehicle.say(name, vehicle.baseline(name, 10.0 + index))
+        vehicle.step(0.2)
+    assert [len(message.antennas_used) for message in vehicle.attitudes()[-3:]] == [3, 4, 4]
+    assert vehicle.service.report().counters["late"] == 1
+
+
+def test_it_says_how_long_the_last_source_waited() -> None:
+    """From its arrival at the process: what an epoch waits for its deadline is in it, what it waited for its sources is not."""
+    vehicle = Vehicle(wait_s=0.2)
+    vehicle.epoch(10.0)
+    for name in ("ab", "ac", "ad"):
+        vehicle.step(0.05)
+        vehicle.say(name, vehicle.baseline(name, 11.0))
+    vehicle.say("ab", vehicle.baseline("ab", 12.0))
+    vehicle.say("ac", vehicle.baseline("ac", 12.0))
+    vehicle.step(0.3)
+    assert [round(message.waited_ms) for message in vehicle.attitudes()[-2:]] == [0, 300]

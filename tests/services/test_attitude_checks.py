@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from rtkmesh.attitude.rigid_body import Layout
+from rtkmesh.rtk.options import IntegrityOptions
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_services.attitude.body import layout_of
 from rtkmesh_services.cli.antenna_layouts import layout_toml, read_layouts
-from rtkmesh_services.runtime.attitude_checks import notes_on
+from rtkmesh_services.runtime.attitude_checks import SOLVER_RISK, notes_on
 from rtkmesh_services.runtime.configuration import load_deployment, parse_deployment
 
 FILE = """
@@ -86,6 +87,15 @@ def test_a_length_that_a_solver_does_not_know_is_a_note() -> None:
     deployment = parse_deployment(FILE.replace("baseline_length_m = 2.0", ""), "x.toml")
     notes = list(notes_on("boat", deployment.attitude["boat"], deployment))
     assert notes == ["[solver.along] fixes sooner with 'baseline_length_m = 2.000', which [attitude.boat] knows"]
+
+
+@pytest.mark.parametrize(("risk", "levels"), [("1e-3", "of a risk of 1e-05"), ("1e-6", "infinite"), ("1e-5", "")])
+def test_a_solver_with_another_risk_is_told(risk: str, levels: str) -> None:
+    """Levels of two antennas are those of the solver of their baseline."""
+    assert IntegrityOptions().risk == SOLVER_RISK
+    deployment = parse_deployment(FILE + f"[attitude.boat.integrity]\nrisk = {risk}\n", "boat.toml")
+    notes = list(notes_on("boat", deployment.attitude["boat"], deployment))
+    assert [note.partition("antennas are ")[2] for note in notes] == ([levels] if levels else [])
 
 
 @pytest.mark.parametrize("head", ["attitude.boat.antennas", "attitude.calibrated.antennas", "antennas"])

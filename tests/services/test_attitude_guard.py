@@ -58,6 +58,27 @@ def test_two_antennas_bound_nothing_and_say_so() -> None:
         assert feared.attitudes()[-1].protection_rad[0] == inf, "wrong integers are heading, too"
 
 
+def test_two_antennas_are_bounded_by_the_levels_of_their_baseline() -> None:
+    """What its solver tells, over its length; antennas stay open, and a solver that takes a larger risk bounds nothing."""
+    told = {"protection_horizontal_m": 0.1, "protection_vertical_m": 0.2}
+    by_length = {"solver": "ab", "solvers": (), "antennas": {}, "length_m": 2.0}
+    for values in ({}, by_length):
+        vehicle = Vehicle(PAIR, **values)
+        vehicle.say("ab", vehicle.baseline("ab", 10.0, **told))
+        found = vehicle.attitudes()[-1]
+        assert found.protection_rad[0] == pytest.approx(0.1 / 2.0, rel=0.02)
+        assert found.protection_rad[1] == pytest.approx(0.2 / 2.0, rel=0.05)
+        assert isnan(found.protection_rad[2])
+        assert (found.integrity, found.protection_open) == ("ok", ["a", "b"])
+        careful = Vehicle(PAIR, integrity=table(risk=1e-6, alert_heading_deg=5.0), **values)
+        careful.say("ab", careful.baseline("ab", 10.0, **told))
+        assert "heading is not bounded" in careful.attitudes()[-1].reason
+    three = Vehicle(TRIO)
+    three.say("ab", three.baseline("ab", 10.0, **told))
+    three.say("ac", three.baseline("ac", 10.0, status=2, status_name="FLOAT", reason="ratio"))
+    assert three.attitudes()[-1].protection_rad[0] == pytest.approx(0.05, rel=0.02), "what is left of three"
+
+
 def test_levels_beyond_their_limits_are_unavailable() -> None:
     """With four antennas all is inside; three do not bound a tilt; an attitude that failed stays so."""
     limits = table(alert_heading_deg=6.0, alert_tilt_deg=5.0)

@@ -249,7 +249,7 @@ def fit_rotation(
         if not _length(step) > _CONVERGED_RAD:
             break
         for share in (1.0, 0.3):
-            _turned(share * step, rotation, trial)
+            turned(share * step, rotation, trial)
             now = _linearised(chosen, body_m, weight, count, trial, r, J, N, g)
             now += _pulled(predicted, predicted_weight, trial, N, g) if expected else 0.0
             if now <= chi:
@@ -324,7 +324,7 @@ def _turn_between(rotation: Matrix, other: Matrix) -> Vector:
 
 
 @kernel
-def _turned(step: Vector, rotation: Matrix, out: Matrix) -> None:
+def turned(step: Vector, rotation: Matrix, out: Matrix) -> None:
     """Write the rotation turned by a vector (rad): Rodrigues' formula, column by column."""
     angle = max(_length(step), 1e-12)
     s, c = sin(angle) / angle, (1.0 - cos(angle)) / angle**2

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude.rigid_body import Fit, Layout, Measured, Shape
 from rtkmesh.attitude.rotation import angles_per_error
+from rtkmesh.attitude.shared_errors import add_shared, variances_of_receivers
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -89,16 +90,17 @@ def _joint_covariance(edges: Sequence[Edge], signs: Matrix) -> Matrix:
     """Return the covariance (3k, 3k) of all edges."""
     shared = [row for row, edge in enumerate(edges) if not edge.alone]
     own = np.array([edge.cov_m2 for edge in edges])
-    total = np.zeros((len(edges), 3, len(edges), 3))
+    total = np.zeros((3 * len(edges), 3 * len(edges)))
     if shared:
-        theirs, used = signs[shared], np.any(signs[shared] != 0.0, axis=0)
+        theirs = signs[shared]
+        theirs = theirs[:, np.any(theirs != 0.0, axis=0)]
         share = _OWN_SHARE if _closes_loops(theirs.tobytes(), theirs.shape) else 0.0
-        variances = receiver_variances(np.abs(theirs[:, used]), (1.0 - share) * own[shared])
-        total[np.ix_(shared, range(3), shared, range(3))] = np.einsum("ki,iab,li->kalb", theirs[:, used], variances, theirs[:, used])
+        variances = receiver_variances(np.abs(theirs), (1.0 - share) * own[shared])
+        add_shared(theirs, variances, np.array(shared), total)
         own[shared] *= share
     for row, cov in enumerate(own):
-        total[row, :, row, :] += cov
-    return total.reshape(3 * len(edges), 3 * len(edges))
+        total[3 * row : 3 * row + 3, 3 * row : 3 * row + 3] += cov
+    return total
 
 
 @lru_cache(maxsize=64)
@@ -116,12 +118,7 @@ def receiver_variances(members: Matrix, covs_m2: NDArray[np.float64]) -> NDArray
 
     What the edges leave open is shared equally between the ends.
     """
-    mean = covs_m2.mean(axis=0) / 2.0
-    missing = covs_m2 - np.einsum("km,ab->kab", members, mean)
-    variances = mean + np.einsum("mk,kab->mab", _inverse(members.tobytes(), members.shape), missing)
-    values, vectors = np.linalg.eigh(variances)
-    floor = _FLOOR_SHARE * float(np.trace(mean)) / 3.0
-    return np.einsum("mab,mb,mcb->mac", vectors, np.maximum(values, floor), vectors)
+    return variances_of_receivers(members, _inverse(members.tobytes(), members.shape), covs_m2, _FLOOR_SHARE)
 
 
 def rotation_covariance(found: Fit, unseen_sigma_rad: float) -> Matrix:

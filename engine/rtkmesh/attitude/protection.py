@@ -17,16 +17,15 @@ from numpy.typing import NDArray
 
 from rtkmesh.attitude.integrity import Finding, Judged
 from rtkmesh.attitude.joint import Edge, angles_covariance
-from rtkmesh.attitude.rigid_body import Fit, Layout, Measured, jacobian_of, level_turn, misfit_covariance
+from rtkmesh.attitude.rigid_body import Fit, Layout, Measured, plain
 from rtkmesh.attitude.rotation import angles_per_error
+from rtkmesh.attitude.separation_kernels import bounds_without, inflated_sigmas, normal_equations
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 INFLATION: Final = 1.5  # of sigmas: mean squares of normalised errors of fixes reach 1.7 on recordings
 _RARE: Final = 1e-2  # of the risk: two faults at once that are less likely are left out
-_UNSEEN: Final = 1e-8  # a direction with a smaller share of the information is not seen
-_SAME: Final = 1e-10  # of what is not asked for: a mix of antennas that says nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,33 +52,19 @@ class Levels:
     open: tuple[str, ...] = ()
 
 
+class Told(NamedTuple):
+    """A measured baseline (m, NED) and its protection levels (m), as its solver tells them."""
+
+    vector_ned_m: Vector
+    horizontal_m: float
+    vertical_m: float
+
+
 class _Hypothesis(NamedTuple):
     """These antennas are at fault, with a probability."""
 
     prior: float
     gone: tuple[int, ...]
-
-
-class _Other(NamedTuple):
-    """The attitude without some antennas: its rotation (rad, NED) from the published one, and covariance of what it sees.
-
-    ``unseen``: a direction that it does not see and of which only the level is known.
-    """
-
-    turn_rad: Vector
-    cov: Matrix
-    unseen: Vector | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Model:
-    """The fit to first order about a rotation: X' W X of the columns of ``X``, which are derivatives of the misfit by every antenna's place
-    (3 each), by the origin (3; none without positions) and by the rotation (3), and the misfit itself.
-    """
-
-    rotation: Matrix
-    information: Matrix
-    antennas: int
 
 
 def fault_priors(layout: Layout, edges: Sequence[Edge], antenna_fault: float) -> Vector:
@@ -100,16 +85,14 @@ def levels(layout: Layout, measured: Measured, verdict: Judged, guarding: Guardi
     if found is None:
         return Levels(np.full(3, nan))
     faults = np.full(len(layout.names), guarding.antenna_fault) if priors is None else priors
-    model = _model(layout, measured, found)
     hypotheses = _hypotheses(layout, measured, verdict, faults, guarding.risk)
     share = 0.5 * guarding.risk / max(len(hypotheses), 1)
     asked = [hypothesis for hypothesis in hypotheses if hypothesis.prior > share]
-    others, turn = _without(model, [gone for _, gone in asked]), angles_per_error(model.rotation)
     level, left_open = _own_level(found, guarding), set[int]()
-    for prior, gone in asked:
-        bound = _bound(turn, others[gone], widening(prior, share), guarding.unseen_sigma_rad)
-        left_open |= {*gone} if np.isinf(bound).any() else set()
-        level = np.maximum(level, bound)
+    if asked:
+        bounds = _bounds(layout, measured, found, asked, share, guarding)
+        level = np.maximum(level, bounds.max(axis=0))
+        left_open = {i for hypothesis, bound in zip(asked, bounds, strict=True) if np.isinf(bound).any() for i in hypothesis.gone}
     seen = np.isfinite(np.diag(angles_covariance(found, guarding.unseen_sigma_rad)))
     excluded = set(_numbers(layout, verdict.excluded))
     return Levels(np.where(seen, level, nan), tuple(layout.names[i] for i in sorted(left_open - excluded)))
@@ -123,6 +106,23 @@ def line_levels(sigmas_rad: Vector, prior: float, guarding: Guarding) -> Vector:
     if prior > 0.25 * guarding.risk:
         return np.where(np.isfinite(sigmas_rad), inf, nan)
     return widening(1.0, 0.5 * guarding.risk) * INFLATION * sigmas_rad
+
+
+def baseline_levels(rotation: Matrix, line_ned: Vector, told: Told, guarding: Guarding) -> Vector:
+    """Return the levels (3; rad) of heading, pitch, roll of antennas on one line by what the solver of their baseline bounds.
+
+    ``rotation``: the published one (ned_from_body); ``line_ned``: the line by it (unit). Its satellites watch a baseline where no third
+    antenna does: the truth is within the baseline's levels of its vector, so within the angle that these are seen under; what separates
+    the published line from that vector is added. The turn about the line is as level as the body. An antenna whose satellites are all
+    wrong alike is not covered.
+    """
+    turn, length_m = angles_per_error(rotation), float(np.linalg.norm(told.vector_ned_m))
+    off = np.abs(turn @ np.cross(line_ned, told.vector_ned_m)) / length_m
+    arms = np.cross(turn, told.vector_ned_m) / length_m**2
+    reach = np.hypot(arms[:, 0], arms[:, 1]) * told.horizontal_m + np.abs(arms[:, 2]) * told.vertical_m
+    level = np.abs(turn @ line_ned) * widening(1.0, _RARE * guarding.risk) * guarding.unseen_sigma_rad
+    bounded = reach < 1.0  # NaN: nothing was told
+    return np.where(bounded, off + np.arcsin(np.where(bounded, reach, 0.0)) + level, inf)
 
 
 def widening(prior: float, share: float) -> float:
@@ -156,82 +156,18 @@ def _odds(faults: Vector, chosen: tuple[int, ...], excluded: tuple[int, ...], wo
 
 def _own_level(found: Fit, guarding: Guarding) -> Vector:
     """Return the level while nothing is wrong."""
-    scale = widening(1.0, 0.5 * guarding.risk)
-    turn = angles_per_error(found.ned_from_body)
-    return scale * _sigmas(turn, found.cov[:3, :3], found.unseen_ned, guarding.unseen_sigma_rad)
+    unseen = np.zeros(3) if found.unseen_ned is None else found.unseen_ned
+    turn, cov = angles_per_error(found.ned_from_body), plain(found.cov[:3, :3])
+    return widening(1.0, 0.5 * guarding.risk) * inflated_sigmas(turn, cov, unseen, INFLATION, guarding.unseen_sigma_rad)
 
 
-def _sigmas(turn: Matrix, cov: Matrix, unseen: Vector | None, unseen_sigma_rad: float) -> Vector:
-    """Return the inflated sigmas of the angles; what only the level says of a direction is not inflated."""
-    variances = INFLATION**2 * np.diag(turn @ cov @ turn.T)
-    if unseen is not None:
-        variances = variances + np.square(turn @ unseen * unseen_sigma_rad)
-    return np.sqrt(np.maximum(variances, 0.0))
-
-
-def _bound(turn: Matrix, other: _Other | None, scale: float, unseen_sigma_rad: float) -> Vector:
-    """Return how far angles may be off if the ``other`` attitude is not touched; infinite where there is none.
-
-    ``turn``: derivative of the angles by the rotation's error.
-    """
-    if other is None:
-        return np.full(3, inf)
-    return np.abs(turn @ other.turn_rad) + scale * _sigmas(turn, other.cov, other.unseen, unseen_sigma_rad)
-
-
-def _model(layout: Layout, measured: Measured, found: Fit) -> _Model:
-    rotation, share = found.ned_from_body, measured.weights.sum(axis=1)
-    turned = measured.weights @ layout.positions_m @ rotation.T
-    misfit = measured.values_ned_m - turned
-    columns = [_per_axis(measured.weights)]
-    if measured.absolute:
-        columns.append(_per_axis(share[:, None]))
-        misfit = misfit - np.outer(share, found.origin_ned_m)
-    x = np.hstack([*columns, jacobian_of(turned, share, absolute=False), misfit.reshape(-1, 1)])
-    return _Model(rotation, x.T @ np.linalg.solve(misfit_covariance(layout, measured, rotation), x), len(layout.names))
-
-
-def _per_axis(weights: Matrix) -> Matrix:
-    """Return weights (k, n) as derivatives (3k, 3n) of vectors by places."""
-    return np.einsum("kn,ab->kanb", weights, np.eye(3)).reshape(3 * len(weights), -1)
-
-
-def _without(model: _Model, sets: Sequence[tuple[int, ...]]) -> dict[tuple[int, ...], _Other | None]:
-    """Return the attitudes when each of these sets of antennas may be anywhere; None where that leaves more than one direction open."""
-    found: dict[tuple[int, ...], _Other | None] = {}
-    for size in dict.fromkeys(len(gone) for gone in sets):
-        alike = list(dict.fromkeys(gone for gone in sets if len(gone) == size))
-        found |= dict(zip(alike, _without_each(model, np.array(alike, np.int64)), strict=True))
-    return found
-
-
-def _without_each(model: _Model, sets: NDArray[np.int64]) -> list[_Other | None]:
-    """Return the attitudes without each row (m antennas) of ``sets``, all at once.
-
-    Where they are, and the origin, is eliminated from the normal equations (Schur complement).
-    """
-    n, told = len(model.information), model.information
-    places = (3 * sets[:, :, None] + np.arange(3)).reshape(len(sets), -1)
-    origin = np.arange(3 * model.antennas, n - 4)
-    free = np.hstack([places, np.broadcast_to(origin, (len(sets), len(origin)))])
-    values, vectors = np.linalg.eigh(told[free[:, :, None], free[:, None, :]])
-    kept = values > _SAME * values[:, -1:]
-    projected = vectors.swapaxes(1, 2) @ told[free, n - 4 :]
-    weighted = projected * np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)[:, :, None]
-    reduced = told[n - 4 :, n - 4 :] - projected.swapaxes(1, 2) @ weighted
-    scale = float(np.trace(told[n - 4 : n - 1, n - 4 : n - 1]))
-    values, vectors = np.linalg.eigh(reduced[:, :3, :3])
-    return [_solved(model.rotation, *row, scale) for row in zip(values, vectors, reduced[:, :3, 3], strict=True)]
-
-
-def _solved(rotation: Matrix, values: Vector, vectors: Matrix, right: Vector, scale: float) -> _Other | None:
-    """Return the solution of normal equations of a rotation by their eigenvalues; ``scale``: of the information of all."""
-    seen = values > _UNSEEN * scale
-    if int(seen.sum()) < 2:
-        return None
-    cov = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    turn = cov @ right
-    if seen.all():
-        return _Other(turn, cov, None)
-    unseen = vectors[:, 0]
-    return _Other(turn + level_turn(rotation, unseen) * unseen, cov, unseen)
+def _bounds(layout: Layout, measured: Measured, found: Fit, asked: Sequence[_Hypothesis], share: float, guarding: Guarding) -> Matrix:
+    """Return how far angles (h, 3) may be off under each hypothesis; infinite where no other attitude is left."""
+    origin, rotation = found.origin_ned_m if measured.absolute else np.empty(0), plain(found.ned_from_body)
+    said = plain(measured.weights), plain(layout.positions_m), plain(measured.values_ned_m), plain(measured.cov_m2)
+    told = normal_equations(*said, layout.covariance_m2, rotation, origin)
+    sets = np.full((len(asked), max(len(gone) for _, gone in asked)), -1)
+    for row, (_, gone) in enumerate(asked):
+        sets[row, : len(gone)] = gone
+    scales, turn = np.array([widening(prior, share) for prior, _ in asked]), angles_per_error(rotation)
+    return bounds_without(told, len(layout.names), sets, scales, rotation, turn, INFLATION, guarding.unseen_sigma_rad)

@@ -9,22 +9,19 @@ All vectors are in NED and in the body's forward-right-down axes, metres.
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import atan2, nan
+from math import isfinite, nan
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.attitude.rotation import angles_of, angles_per_error, rotation_of, skew
+from rtkmesh.attitude.body_kernels import kabsch_rotation, levelled, refine, spanned
+from rtkmesh.attitude.rotation import angles_of, angles_per_error, skew
 from rtkmesh.errors import OptionError
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_STEPS: Final = 60
-_CONVERGED_RAD: Final = 1e-10
-_SHRINKING: Final = 0.7
-_LARGEST_LAST_RAD: Final = 1e-6
 _FLAT: Final = 1e-3  # a layout whose next singular value is smaller than this share of the first is flat (or straight)
 
 
@@ -61,6 +58,11 @@ class Layout:
             raise OptionError(f"a layout of {n} different names needs {n} positions of 3, not {self.positions_m.shape}")
         if self.cov_m2 is not None and self.cov_m2.shape != (3 * n, 3 * n):
             raise OptionError(f"the covariance of {n} antennas is {3 * n} by {3 * n}, not {self.cov_m2.shape}")
+
+    @property
+    def covariance_m2(self) -> Matrix:
+        """The joint covariance of the positions as kernels take it: empty if they are exact."""
+        return np.empty((0, 0)) if self.cov_m2 is None else plain(self.cov_m2)
 
     @property
     def shape(self) -> Shape:
@@ -171,139 +173,49 @@ def fit(layout: Layout, measured: Measured, start: Matrix | None = None, near: M
     body may still turn freely: it is the one next to ``start``, else to level; what the fit says of points off the line is
     said as if the body did not turn about it. ``near``: a rotation that is nearly the answer (on a line but for the turn about it).
     """
-    body = measured.weights @ layout.positions_m
-    shape = _directions(body, measured.weights)
+    if not len(measured.weights):
+        return None
+    body, share, line = plain(measured.weights @ layout.positions_m), measured.weights.sum(axis=1), np.empty(3)
+    shape = (Shape.POINT, Shape.LINE, Shape.PLANE, Shape.SPACE)[spanned(body, share, _FLAT, line)]
     if shape is Shape.POINT or (shape is not Shape.LINE and not _enough(body, measured)):
         return None
     if start is None or shape is not Shape.LINE:
         start = kabsch(body, measured) if near is None else near
-        start = start if shape is not Shape.LINE else _levelled(start, _line(body, measured.weights.sum(axis=1)))
-    return _refined(layout, measured, body, shape, start)
+        start = start if shape is not Shape.LINE else levelled(plain(start), line)
+    return _refined(layout, measured, (body, share), (shape, line), start)
 
 
 def kabsch(body: Matrix, measured: Measured) -> Matrix:
     """Return the rotation (3x3) that takes body vectors (k, 3) to the measured ones, each weighted by its own mean variance."""
-    weights = 3.0 / np.einsum("kii->k", measured.cov_m2.reshape(len(body), 3, len(body), 3)[range(len(body)), :, range(len(body))])
-    share = measured.weights.sum(axis=1)
-    absolute = weights * share**2
-    total = float(absolute.sum())
-    b, m = body, measured.values_ned_m
-    if total > 0.0:
-        b = b - np.outer(share, (weights * share) @ b / total)
-        m = m - np.outer(share, (weights * share) @ m / total)
-    u, _, vt = np.linalg.svd((weights[:, None] * m).T @ b)
-    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return kabsch_rotation(plain(body), measured.weights.sum(axis=1), plain(measured.values_ned_m), plain(measured.cov_m2))
 
 
-def _directions(body: Matrix, weights: Matrix) -> Shape:
-    """Return what the vectors of the body span, once the unknown origin is taken out."""
-    share = weights.sum(axis=1)
-    free = body - np.outer(share, share @ body / max(float(share @ share), 1e-300))
-    singular = np.append(np.linalg.svd(free, compute_uv=False), np.zeros(3))[:3]
-    if singular[0] < 1e-9:
-        return Shape.POINT
-    return (Shape.POINT, Shape.LINE, Shape.PLANE, Shape.SPACE)[int(np.sum(singular > _FLAT * singular[0]))]
+def plain(array: Matrix) -> Matrix:
+    """Return the numbers as kernels take them: one after the other."""
+    return np.ascontiguousarray(array, np.float64)
 
 
 def _enough(body: Matrix, measured: Measured) -> bool:
     return 3 * len(body) >= (6 if measured.absolute else 3)
 
 
-def _refined(layout: Layout, measured: Measured, body: Matrix, shape: Shape, start: Matrix) -> Fit | None:
+def _refined(layout: Layout, measured: Measured, vectors: tuple[Matrix, Vector], span: tuple[Shape, Vector], start: Matrix) -> Fit | None:
     """Gauss-Newton from ``start``; None if it does not converge."""
-    absolute, share = measured.absolute, measured.weights.sum(axis=1)
-    line = _line(body, share) if shape is Shape.LINE else None
-    rotation, origin = start, _first_origin(measured, body, start) if absolute else np.zeros(3)
-    weight, cov, step, share_of_step = np.eye(0), np.eye(0), np.full(3, np.inf), 1.0
-    for number in range(_STEPS):
-        if number == 0 or layout.cov_m2 is not None:
-            weight = np.linalg.inv(misfit_covariance(layout, measured, rotation))
-        turned = body @ rotation.T
-        jacobian = jacobian_of(turned, share, absolute=absolute)
-        residuals = measured.values_ned_m - turned - np.outer(share, origin)
-        weighted = jacobian.T @ weight
-        cov = _seen_inverse(weighted @ jacobian, None if line is None else rotation @ line)
-        before, step = float(np.abs(step[:3]).max()), cov @ (weighted @ residuals.ravel())
-        if float(np.abs(step[:3]).max()) > _SHRINKING * before:  # large residuals make it overshoot, and swing about the answer
-            share_of_step *= 0.5
-        step = share_of_step * step
-        rotation = rotation_of(step[:3]) @ rotation
-        origin = origin + step[3:] if absolute else origin
-        if float(np.abs(step).max()) < _CONVERGED_RAD:
-            break
-    if float(np.abs(step[:3]).max()) > _LARGEST_LAST_RAD:
+    (body, share), (shape, line) = vectors, span
+    rotation, origin = np.array(start, np.float64), np.zeros(3 if measured.absolute else 0)
+    line = line if shape is Shape.LINE else np.empty(0)
+    numbers = plain(measured.weights), plain(measured.values_ned_m), plain(measured.cov_m2), layout.covariance_m2
+    cov, residuals = np.empty((3 + len(origin), 3 + len(origin))), np.empty_like(body)
+    chi_square = refine(body, share, *numbers, line, rotation, origin, cov, residuals)
+    if not isfinite(chi_square):
         return None
-    residuals = measured.values_ned_m - body @ rotation.T - np.outer(share, origin)
     return Fit(
         ned_from_body=rotation,
         cov=cov,
-        origin_ned_m=origin if absolute else np.full(3, nan),
+        origin_ned_m=origin if measured.absolute else np.full(3, nan),
         residuals_m=residuals,
-        chi_square=float(residuals.ravel() @ weight @ residuals.ravel()),
-        degrees=3 * len(body) - len(cov) + (line is not None),
+        chi_square=chi_square,
+        degrees=3 * len(body) - len(cov) + (shape is Shape.LINE),
         shape=shape,
-        unseen_ned=None if line is None else rotation @ line,
+        unseen_ned=None if shape is not Shape.LINE else rotation @ line,
     )
-
-
-def _seen_inverse(information: Matrix, unseen: Vector | None) -> Matrix:
-    """Return the inverse of an information matrix, without a turn (NED, unit) that is not seen."""
-    if unseen is None:
-        return np.linalg.inv(information).astype(np.float64)
-    seen = _seen_directions(unseen, len(information))
-    return seen @ np.linalg.inv(seen.T @ information @ seen) @ seen.T
-
-
-def _seen_directions(unseen: Vector, unknowns: int) -> Matrix:
-    """Return an orthonormal basis (unknowns, m) of what can be solved for: the rotations across a line of antennas, and the origin."""
-    basis = np.eye(unknowns)
-    _, _, vt = np.linalg.svd(unseen[None, :])
-    across = np.vstack([vt[1:].T, np.zeros((unknowns - 3, 2))])
-    return np.hstack([across, basis[:, 3:]])
-
-
-def jacobian_of(turned: Matrix, share: Vector, *, absolute: bool) -> Matrix:
-    """Return the derivative (3k, 3 or 6) of the predicted vectors by the rotation's error and the origin."""
-    k = len(turned)
-    out = np.zeros((k, 3, 6 if absolute else 3))
-    out[:, 0, 1], out[:, 1, 2], out[:, 2, 0] = turned[:, 2], turned[:, 0], turned[:, 1]
-    out[:, 1, 0], out[:, 2, 1], out[:, 0, 2] = -turned[:, 2], -turned[:, 0], -turned[:, 1]
-    if absolute:
-        for axis in range(3):
-            out[:, axis, 3 + axis] = share
-    return out.reshape(3 * k, -1)
-
-
-def misfit_covariance(layout: Layout, measured: Measured, rotation: Matrix) -> Matrix:
-    """Return the covariance of measured minus predicted: the measurements', and what is not known of the layout."""
-    if layout.cov_m2 is None:
-        return measured.cov_m2
-    k, n = measured.weights.shape
-    wide = (measured.weights[:, None, :, None] * rotation[None, :, None, :]).reshape(3 * k, 3 * n)
-    return measured.cov_m2 + wide @ layout.cov_m2 @ wide.T
-
-
-def level_turn(rotation: Matrix, line_ned: Vector) -> float:
-    """Return the turn (rad) about a line (NED, unit) after which the body's down axis points down as far as it can."""
-    down = rotation[:, 2]
-    towards = float(down[2] - line_ned[2] * (line_ned @ down))
-    across = float(line_ned[0] * down[1] - line_ned[1] * down[0])
-    return atan2(across, towards)
-
-
-def _levelled(rotation: Matrix, line_body: Vector) -> Matrix:
-    """Return the rotation turned about a line of the body until it is as level as it can be."""
-    line = rotation @ line_body
-    return rotation_of(line * level_turn(rotation, line)) @ rotation
-
-
-def _first_origin(measured: Measured, body: Matrix, rotation: Matrix) -> Vector:
-    share = measured.weights.sum(axis=1)
-    return share @ (measured.values_ned_m - body @ rotation.T) / float(share @ share)
-
-
-def _line(body: Matrix, share: Vector) -> Vector:
-    """Return the direction (body axes) of antennas on one line."""
-    free = body - np.outer(share, share @ body / max(float(share @ share), 1e-300))
-    _, _, vt = np.linalg.svd(free)
-    return vt[0]

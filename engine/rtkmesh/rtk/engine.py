@@ -20,7 +20,7 @@ from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable
-from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate, point_setup
+from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.around import Around, Past, at_instant_of
 from rtkmesh.rtk.asked_odds import DOUBLED_M
@@ -28,12 +28,13 @@ from rtkmesh.rtk.bookkeeping import Motion, seed
 from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
+from rtkmesh.rtk.crossing import locate_epoch, plain
 from rtkmesh.rtk.informed import INFORMED_FROM_M
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
 from rtkmesh.rtk.overview import Overview, overview_of
-from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Solved, differences_of, solve
+from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Setup, Solved, differences_of, solve
 from rtkmesh.rtk.report import FIGURES, IS_FIXED, ODDS, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.setup import setup_of
@@ -75,7 +76,7 @@ class Rtk:
         self._was_fixed = False
         self._klobuchar: KlobucharParameters | None = None
         self._point = self._point_setup(None)
-        self._setup = setup_of(options)
+        self._use(setup_of(options))
         self._motion = _motion_of(options)
         self._bases = BaseEpochs()
         self._keeps_baseline = False  # the next base position changes what was known of the base, not the baseline
@@ -90,9 +91,13 @@ class Rtk:
         patterns = NO_PATTERNS if rover is None or base is None else join_patterns(rover, base)
         if np.array_equal(patterns, self._setup.antennas):
             return
-        self._setup = self._setup._replace(antennas=patterns)
+        self._use(self._setup._replace(antennas=patterns))
         if self._state is None or len(self._state.filter.keys):
             self.reset()
+
+    def _use(self, setup: Setup) -> None:
+        """Take what the options say to kernels."""
+        self._setup, self._plain_setup = setup, plain(setup)
 
     def with_other_base(self) -> "Rtk":
         """Return an engine for the same rover and another base: what does not depend on the base goes on, this engine is not changed.
@@ -100,7 +105,8 @@ class Rtk:
         The baseline of a moving base is another one then: nothing of it goes on.
         """
         other = Rtk(self.options, self.direction)
-        other._klobuchar, other._point, other._setup = self._klobuchar, self._point, self._setup
+        other._klobuchar, other._point = self._klobuchar, self._point
+        other._use(self._setup)
         other._resets, other._was_fixed = self._resets, self._was_fixed
         if self._state is not None and self.options.mode is not Mode.MOVING_BASE:
             sigma_m = 0.0 if self.options.mode is Mode.FIXED else float(SEED_MOVING[0])
@@ -117,7 +123,7 @@ class Rtk:
             return Continuation(why)
         moved = self._moves
         self.options = options
-        self._setup = setup_of(options)._replace(antennas=self._setup.antennas)
+        self._use(setup_of(options)._replace(antennas=self._setup.antennas))
         self._motion, self._point = _motion_of(options), self._point_setup(self._klobuchar)
         self._keeps_baseline = self._keeps_baseline or now.mode is Mode.MOVING_BASE is not options.mode
         if not keeps_integers(now, options):
@@ -169,12 +175,12 @@ class Rtk:
         if klobuchar is not self._klobuchar:
             self._klobuchar, self._point = klobuchar, self._point_setup(klobuchar)
         issues, base_single, self._satellites = ephemerides.issues, None, None
-        single = locate(rover.signals, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
+        single = locate_epoch(rover, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
         self._single = single
         if self.options.mode is Mode.SINGLE:
             return from_single(rover, base, single)
         if base is not None and self.options.mode is Mode.MOVING_BASE:
-            base_single = locate(base.signals, issues, self._point, _NOWHERE if base_position_ecef_m is None else base_position_ecef_m)
+            base_single = locate_epoch(base, issues, self._point, _NOWHERE if base_position_ecef_m is None else base_position_ecef_m)
             base_position_ecef_m = base_single.position_ecef_m if base_single.status == CONVERGED else None
             base = at_instant_of(rover, single, base, base_single, issues)
         reason = self._obstacle(rover, base, base_position_ecef_m)
@@ -297,14 +303,16 @@ class Rtk:
 
     def _solved(self, state: FilterState, past: Past, around: Around, step: Step) -> Solved:
         """Return the relative solution of an epoch, and let state and past be what came of it."""
-        base, single, signals = around.bases[0], around.singles[0], around.rover.signals
+        base, single = around.bases[0], around.singles[0]
         base_s, channel, klobuchar = self._clock_s(state, base.time), around.issues.channel, self._point.klobuchar
         known = Known(
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
             past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s,
         )  # fmt: skip
         if len(around.bases) == 1:
-            solved = take_step(state.filter, state.informed, signals, base.signals, single, channel, klobuchar, step, known, self._setup)
+            filters, signals = (tuple(state.filter), tuple(state.informed)), (tuple(around.rover.signals), tuple(base.signals))
+            given = tuple(single), channel, klobuchar, tuple(step), tuple(known)
+            solved = take_step(filters, signals, *given, self._plain_setup)
         else:
             solved = self._solved_with_several(state, around, step, known)
         if solved.status in (SOLVED, FEW_COMMON):

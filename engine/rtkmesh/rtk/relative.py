@@ -63,6 +63,7 @@ class Setup(NamedTuple):
     rules: Rules
     slip: SlipSetup
     resolve: ResolveSetup
+    integrity: IntegritySetup
     phase_a_m: float
     phase_b_m: float
     code_ratio: float
@@ -73,7 +74,6 @@ class Setup(NamedTuple):
     ambiguity_walk_cyc: float
     phases: bool
     resolving: bool
-    integrity: IntegritySetup
     failure_rate: float
     antennas: Vector
     by_epoch: bool

@@ -16,10 +16,10 @@ def setup_of(options: RtkOptions) -> Setup:
         matching_rules(options.systems, options.frequencies, options.excluded, options.cn0_mask_dbhz),
         SlipSetup(slip.time_difference_cyc, slip.maximum_gap_s, moving_base, True),
         resolve_setup(ambiguity, options.baseline_length_m if moving_base else None, options.baseline_sigma_m),
+        _integrity_setup(options),
         noise.phase_a_m, noise.phase_b_m, noise.code_ratio, noise.ephemeris_m_per_m, options.elevation_mask_rad,
         ambiguity.elevation_mask_rad, float(ambiguity.minimum_lock_epochs), options.dynamics.ambiguity_cyc, options.mode is not Mode.DGPS,
-        ambiguity.mode is not AmbiguityMode.OFF, _integrity_setup(options), ambiguity.failure_rate,
-        NO_PATTERNS, ambiguity.mode is AmbiguityMode.INSTANTANEOUS,
+        ambiguity.mode is not AmbiguityMode.OFF, ambiguity.failure_rate, NO_PATTERNS, ambiguity.mode is AmbiguityMode.INSTANTANEOUS,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed
+from rtkmesh.rtk.crossing import Plain, named
 from rtkmesh.rtk.relative import NOT_FINITE, SOLVED, Known, Setup, Solved, solve_pair, walks_of
 from rtkmesh.rtk.report import FIGURES
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, SEED_MOVING, Filter
@@ -42,12 +43,16 @@ class Step(NamedTuple):
 
 @kernel
 def take_step(
-    f: Filter, informed: Filter, rover: Signals, base: Signals, located: Located, channel: NDArray[np.int8], klobuchar: Vector,
-    step: Step, known: Known, setup: Setup,
+    filters: tuple[Plain, Plain], signals: tuple[Plain, Plain], place: Plain, channel: NDArray[np.int8], klobuchar: Vector, way: Plain,
+    past: Plain, options: Plain,
 ) -> Solved:  # fmt: skip
     """Return the relative solution of an epoch, as ``solve_pair`` does, with the filters (written to) that the last one left; ASTRAY
     where these cannot go on.
+
+    Fields come without names: of both filters, of the signals of rover and base, of Located, Step, Known, and Setup as ``plain`` has it.
     """
+    f, informed, rover, base = Filter(*filters[0]), Filter(*filters[1]), Signals(*signals[0]), Signals(*signals[1])
+    located, step, known, setup = Located(*place), Step(*way), Known(*past), named(options)
     informed, moved = move_on(f, informed, located, step, known, setup)
     if not moved:
         return Solved(ASTRAY, f, informed, f.x, f.P, np.zeros(FIGURES), np.zeros((0, 0)), f.P)

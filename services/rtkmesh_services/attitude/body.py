@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rtkmesh.attitude.integrity import Finding, Judged, judged
 from rtkmesh.attitude.joint import Edge, joint, length_m
 from rtkmesh.attitude.layout_covariance import joint_covariance
-from rtkmesh.attitude.rigid_body import Layout
+from rtkmesh.attitude.rigid_body import Layout, Measured
 from rtkmesh.attitude.rotation import NED_FROM_ENU
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.time import GpsTime
@@ -28,7 +28,8 @@ Matrix = NDArray[np.float64]
 class BodyAttitude:
     """What an epoch gives. ``used`` antennas; ``readings`` that are in it; ``missing`` sources with the reason.
 
-    ``origin_ecef_m`` None: no position; ``ned_from_ecef`` there. ``chosen``: what the geometry made of the integers, if it was asked.
+    ``origin_ecef_m`` None: no position; ``ned_from_ecef`` there. ``measured``: what was judged, as one measurement. ``chosen``: what the
+    geometry made of the integers, if it was asked.
     """
 
     time: GpsTime
@@ -38,6 +39,7 @@ class BodyAttitude:
     missing: dict[str, str]
     origin_ecef_m: Vector | None
     ned_from_ecef: Matrix | None
+    measured: Measured | None = None
     chosen: Chosen | None = None
 
 
@@ -78,7 +80,7 @@ class Body:
         self._false_alarm = table.false_alarm
         self._own_lines = {name: _ends(name, heading) for name, heading in table.headings.items() if not heading.antennas}
         self._specs = {spec.id: spec for spec in specs}
-        self._newest: tuple[list[Edge], Judged] = ([], Judged(None, Finding.NO_ATTITUDE))
+        self._newest: tuple[list[Edge], Judged, Measured | None] = ([], Judged(None, Finding.NO_ATTITUDE), None)
         self.geometry = Geometry(self.layout, radians(table.max_tilt_deg), self._judged) if table.geometry and table.antennas else None
 
     def length_m(self, spec: SourceSpec) -> float:
@@ -121,24 +123,26 @@ class Body:
         edges = _edges(readings)
         seen = {end for edge in edges for end in (edge.start, edge.end)} - set(found.excluded)
         used = tuple(name for name in self.antennas if name in seen)
-        return BodyAttitude(epoch.time, found, used, tuple(readings), missing, origin, rotation)
+        measured = self._newest[2] if edges == self._newest[0] else None
+        return BodyAttitude(epoch.time, found, used, tuple(readings), missing, origin, rotation, measured)
 
     def _judged(self, edges: list[Edge]) -> Judged:
         """Return the attitude of edges; of the same ones again what it was."""
         if edges != self._newest[0]:
-            self._newest = (edges, self._judged_anew(edges))
+            self._newest = (edges, *self._judged_anew(edges))
         return self._newest[1]
 
-    def _judged_anew(self, edges: list[Edge]) -> Judged:
+    def _judged_anew(self, edges: list[Edge]) -> tuple[Judged, Measured | None]:
         if not edges:
-            return Judged(None, Finding.NO_ATTITUDE)
+            return Judged(None, Finding.NO_ATTITUDE), None
         try:
-            found = judged(self.layout, joint(self.layout, edges), None, self._false_alarm)
+            measured = joint(self.layout, edges)
+            found = judged(self.layout, measured, None, self._false_alarm)
         except np.linalg.LinAlgError:  # covariances of a stranger
-            return Judged(None, Finding.NO_ATTITUDE)
+            return Judged(None, Finding.NO_ATTITUDE), None
         if found.finding is Finding.OK and ((len(edges) == 1 and edges[0].alone) or self._is_one_line(edges)):
-            return replace(found, finding=Finding.NO_REDUNDANCY)  # its lengths are ours, and test nothing
-        return found
+            return replace(found, finding=Finding.NO_REDUNDANCY), measured  # its lengths are ours, and test nothing
+        return found, measured
 
     def _is_one_line(self, edges: list[Edge]) -> bool:
         """Return whether all is of one receiver that tells a whole attitude."""

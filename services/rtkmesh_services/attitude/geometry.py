@@ -19,6 +19,7 @@ from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.attitude.search import LEAST_AMBIGUITIES, Choice, Expectation, Verdict, choose
 from rtkmesh.attitude.without_one import choose_without_one
 from rtkmesh_schemas.candidates import CandidatesMessage
+from rtkmesh_schemas.errors import DecodeError
 from rtkmesh_services.attitude.matching import MatchedEpoch
 from rtkmesh_services.attitude.readings import FIX, Reading, SourceKind, SourceSpec
 from rtkmesh_services.mapping.candidates import candidates_of
@@ -56,12 +57,17 @@ class Geometry:
         self._layout, self._judge, self._expected = layout, judge, Expectation(tilt_rad)
         self._number = {name: number for number, name in enumerate(layout.names)}
         self.counts: Counter[str] = Counter()
+        self.errors: Counter[str] = Counter()
 
-    def decoded(self, source: SourceSpec, message: CandidatesMessage) -> Candidates | None:
-        """Return the candidates of a source's baseline, None if there are none; DecodeError for what are no candidates."""
-        if not message.norms or not {source.start, source.end} <= self._number.keys():
+    def _decoded(self, source: SourceSpec, message: CandidatesMessage | None) -> Candidates | None:
+        """Return the candidates of a source's baseline, None if there are none; what are no candidates is counted in ``errors``."""
+        if message is None or not message.norms:
             return None
-        return candidates_of(message, self._number[source.start], self._number[source.end])
+        try:
+            return candidates_of(message, self._number[source.start], self._number[source.end])
+        except DecodeError:
+            self.errors[source.id] += 1
+            return None
 
     def wanted(self, readings: Mapping[str, Reading]) -> bool:
         """Return whether the candidates of these readings may change something."""
@@ -125,7 +131,7 @@ class Geometry:
     def _with_tables(self, epoch: MatchedEpoch) -> _Lines:
         lines = _Lines()
         for reading in self._lines_of(epoch.readings):
-            table, told = self._table(reading, epoch.candidates.get(reading.source.id))
+            table, told = self._table(reading, self._decoded(reading.source, epoch.candidates.get(reading.source.id)))
             if told is not None:
                 lines.told[len(lines.tables)] = told
             if table is not None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf
 
-from rtkmesh.attitude.candidates import Candidates
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh_schemas.candidates import CandidatesMessage
 from rtkmesh_services.attitude.readings import Reading
 from rtkmesh_services.attitude.shelf import Shelf
 
@@ -39,7 +39,7 @@ class _Track:
 class MatchedEpoch:
     """All readings of one instant, by source. ``missing``: sources that were due; ``whole``: none of them may still speak for it.
 
-    ``candidates`` of the sources, where they are ``wanted`` and have come.
+    ``candidates`` of the sources, where they are ``wanted`` and have come. ``arrived_mono_ns``: of the last message that is in it.
     """
 
     time: GpsTime
@@ -47,7 +47,8 @@ class MatchedEpoch:
     whole: bool
     missing: tuple[str, ...]
     wanted: bool = False
-    candidates: dict[str, Candidates] = field(default_factory=dict[str, Candidates])
+    candidates: dict[str, CandidatesMessage] = field(default_factory=dict[str, CandidatesMessage])
+    arrived_mono_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -56,6 +57,7 @@ class _Pending:
     opened_s: float
     readings: dict[str, Reading] = field(default_factory=dict[str, Reading])
     wanted: bool | None = None  # once all readings are there
+    arrived_mono_ns: int = 0
 
 
 def never(_: Mapping[str, Reading]) -> bool:
@@ -78,31 +80,40 @@ class Matcher:
         self._wait_s, self._slowest = wait_s, slowest
         self._pending: list[_Pending] = []
         self._closed: GpsTime | None = None
+        self._opened_s = -inf  # when the epoch at _closed was begun
         self._begun_s: float | None = None
         self.late: Counter[str] = Counter()
         self.late_candidates: Counter[str] = Counter()
         self._was_wanted = False
         self.skipped = self.restarts = 0
 
-    def take(self, reading: Reading, now_s: float) -> Iterator[MatchedEpoch]:
+    def take(self, reading: Reading, now_s: float, arrived_mono_ns: int = 0) -> Iterator[MatchedEpoch]:
         """Take a reading and yield the epochs that are complete now, in order of time."""
         self._begun_s = now_s if self._begun_s is None else self._begun_s
         if self._closed is not None and reading.time - self._closed < -BACK_S:
             self._begin_anew(now_s)
         if self._closed is not None and reading.time - self._closed <= TOLERANCE_S:
             self.late[reading.source.id] += 1
+            if abs(reading.time - self._closed) <= TOLERANCE_S and now_s - self._opened_s < self._wait_s:
+                self._note(reading)  # it was taken for lost, and is worth the wait
             return
         self._note(reading)
         pending = self._at(reading.time, now_s)
         pending.readings[reading.source.id], pending.wanted = reading, None
+        pending.arrived_mono_ns = max(pending.arrived_mono_ns, arrived_mono_ns)
         yield from self.ready(now_s)
 
-    def take_candidates(self, source: str, time: GpsTime, found: Candidates | None, now_s: float) -> Iterator[MatchedEpoch]:
-        """Take the candidates of a source (None: there are none) and yield the epochs that are complete now."""
+    def take_candidates(
+        self, source: str, time: GpsTime, found: CandidatesMessage, now_s: float, arrived_mono_ns: int = 0
+    ) -> Iterator[MatchedEpoch]:
+        """Take the candidates of a source and yield the epochs that are complete now."""
         if self._closed is not None and -BACK_S <= time - self._closed <= TOLERANCE_S:
             self.late_candidates[source] += self._was_wanted
             return
         self._candidates.put(source, time, found)
+        for pending in self._pending:
+            if pending.wanted and abs(time - pending.time) <= TOLERANCE_S:
+                pending.arrived_mono_ns = max(pending.arrived_mono_ns, arrived_mono_ns)
         yield from self.ready(now_s)
 
     def ready(self, now_s: float) -> Iterator[MatchedEpoch]:
@@ -113,7 +124,7 @@ class Matcher:
             if awaited and now_s - first.opened_s < self._wait_s:
                 return
             del self._pending[0]
-            self._closed, self._was_wanted = first.time, self._wants(first)
+            self._closed, self._opened_s, self._was_wanted = first.time, first.opened_s, self._wants(first)
             absent = [name for name, track in self._tracks.items() if name not in first.readings and not self._is_lost(track, first.time)]
             missing = tuple(name for name in absent if self._due(self._tracks[name], first.time))
             if self._slowest and len(absent) > len(missing):
@@ -167,10 +178,10 @@ class Matcher:
 
     def _due(self, track: _Track, time: GpsTime) -> bool:
         """Return whether a source has a reading at an instant, by its period: not before its next one, not if it has long been lost."""
-        before = [past for past in track.past if past < time]
-        if not before or track.period_s is None:
+        before = next((past for past in reversed(track.past) if past < time), None)
+        if before is None or track.period_s is None:
             return True
-        since_s = time - before[-1]
+        since_s = time - before
         return track.period_s - TOLERANCE_S <= since_s <= (_LOST_PERIODS + 0.5) * track.period_s
 
     def _matched(self, pending: _Pending, missing: tuple[str, ...], *, whole: bool) -> MatchedEpoch:
@@ -178,7 +189,7 @@ class Matcher:
         readings = {name: pending.readings[name] for name in self._tracks if name in pending.readings}
         wanted = self._wants(pending)
         candidates = {name: found for name, reading in readings.items() if wanted and (found := self._candidates.take(name, reading.time))}
-        return MatchedEpoch(next(iter(readings.values())).time, readings, whole, missing, wanted, candidates)
+        return MatchedEpoch(next(iter(readings.values())).time, readings, whole, missing, wanted, candidates, pending.arrived_mono_ns)
 
     def _is_lost(self, track: _Track, time: GpsTime) -> bool:
         if track.newest is None or track.period_s is None:

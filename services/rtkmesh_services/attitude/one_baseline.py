@@ -44,7 +44,7 @@ def chosen_solution(reading: Reading, chosen: Chosen | None) -> SolutionMessage:
         reading.solution, status=reading.status, status_name=reading.status_name, reason="", integrity="", integrity_reason="",
         baseline_enu_m=tuple((NED_FROM_ENU @ reading.edge.vector_ned_m).tolist()),
         baseline_cov_enu_m2=tuple((NED_FROM_ENU @ reading.edge.cov_m2 @ NED_FROM_ENU).ravel().tolist()),
-        fix_probability=1.0 - chosen.wrong_probability,
+        fix_probability=1.0 - chosen.wrong_probability, protection_horizontal_m=nan, protection_vertical_m=nan,
     )  # fmt: skip
 
 

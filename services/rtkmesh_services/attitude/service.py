@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from math import degrees, inf, radians
 from typing import Any, ClassVar
 
+import msgspec
+
 from rtkmesh.attitude.filter_options import Outcome
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
@@ -23,7 +25,7 @@ from rtkmesh_services.attitude.matching import MatchedEpoch, Matcher, never
 from rtkmesh_services.attitude.messages import body_message, nmea_of
 from rtkmesh_services.attitude.one_baseline import attitude_message, body_of_length, chosen_message, chosen_solution, mounting_of
 from rtkmesh_services.attitude.readings import Reading, SourceKind, SourceSpec, of_heading, of_solution, time_of
-from rtkmesh_services.attitude.warming import warm_choice
+from rtkmesh_services.attitude.warming import warm_body, warm_choice
 from rtkmesh_services.runtime.bus import Sample
 from rtkmesh_services.runtime.service import Context, Report, Service
 from rtkmesh_services.runtime.statistics import RollingQuantiles
@@ -49,7 +51,8 @@ class AttitudeService(Service):
         self._of_length = None if self._body else body_of_length(self._table, next(iter(self._specs.values())))
         body = self._body or self._of_length
         self._geometry = None if body is None else body.geometry
-        self._guard = Guard(self._table, None if self._body is None else self._body.layout)
+        layout = None if self._body is None else self._body.layout
+        self._guard = Guard(self._table, layout, context.deployment.solver)
         self._points = {name: point.position_m for name, point in self._table.points.items()}
         self._replay = any(table.replay for table in context.deployment.ingest.values())
         wait_s = max(self._table.wait_s, REPLAY_WAIT_S) if self._replay else self._table.wait_s
@@ -62,7 +65,6 @@ class AttitudeService(Service):
         self._messages: Counter[str] = Counter()
         self._errors: Counter[str] = Counter()
         self._heard_s: dict[str, float] = {}
-        self._arrived_ns = 0
         self._opened_s = 0.0
         self._last: AttitudeMessage | None = None
         self._counts: Counter[str] = Counter()
@@ -75,7 +77,9 @@ class AttitudeService(Service):
         return Filtering(table, table.filter, self._unseen_rad, courses)
 
     def warm(self) -> None:
-        """Compile or load the kernels of the choice of integers."""
+        """Compile or load the kernels of the body, and of the choice of integers."""
+        if self._body is not None or self._of_length is not None:
+            warm_body()
         if self._geometry is not None:
             warm_choice()
 
@@ -100,7 +104,6 @@ class AttitudeService(Service):
         if item.key == self._imu:
             self._take_imu(item)
             return
-        self._arrived_ns = self.context.clock.mono_ns()
         spec = self._specs[item.key.split("/")[1]]
         try:
             if item.key == CANDIDATES.key(spec.id):
@@ -139,24 +142,19 @@ class AttitudeService(Service):
             solution = decode(SolutionMessage, item.payload, item.encoding)
             antennas = [spec.start, spec.end]
             message = attitude_message(solution, self._table, self._mounting, antennas, self._identity())
-            self._publish(self._guard.of_line(message, solution))
+            self._publish(self._guard.of_line(message, solution), item.received_mono_ns)
             return
         reading = self._reading(spec, item)
         if reading is None:
             self._counts["untimed"] += 1
             return
-        self._publish_all(self._matcher.take(reading, self._now_s()))
+        self._publish_all(self._matcher.take(reading, self._now_s(), item.received_mono_ns))
 
     def _take_candidates(self, spec: SourceSpec, item: Sample) -> None:
         """Take the candidates of a baseline's integers; they are counted only where they come too late."""
-        assert self._geometry is not None, "it subscribed to them"
         message = decode(CandidatesMessage, item.payload, item.encoding)
-        time, found = time_of(message.week, message.tow_s), None
-        try:
-            found = self._geometry.decoded(spec, message)
-        except DecodeError:
-            self._errors[spec.id] += 1
-        self._publish_all(self._matcher.take_candidates(spec.id, time, found, self._now_s()))
+        time = time_of(message.week, message.tow_s)
+        self._publish_all(self._matcher.take_candidates(spec.id, time, message, self._now_s(), item.received_mono_ns))
 
     def _reading(self, spec: SourceSpec, item: Sample) -> Reading | None:
         if spec.heading is None or self._body is None:
@@ -175,7 +173,7 @@ class AttitudeService(Service):
             message = body_message(found, self._body.layout, self._points, self._unseen_rad, **self._identity())
             message = self._guard.of_body(found, message)
             self._tell(found, message)
-            self._publish(message)
+            message = self._publish(message, epoch.arrived_mono_ns)
             self._filter(found, message, epoch.readings.values())
 
     def _publish_one(self, epoch: MatchedEpoch) -> None:
@@ -184,18 +182,22 @@ class AttitudeService(Service):
         [reading] = (epoch if chosen is None else chosen).readings.values()
         solution = chosen_solution(reading, chosen)
         message = chosen_message(reading, solution, chosen, self._table, self._mounting, self._identity())
-        self._publish(self._guard.of_line(message, solution))
+        self._publish(self._guard.of_line(message, solution), epoch.arrived_mono_ns)
 
-    def _publish(self, message: AttitudeMessage) -> None:
-        self._last = message
+    def _publish(self, message: AttitudeMessage, arrived_ns: int) -> AttitudeMessage:
+        """Publish an attitude and return it as it was; ``arrived_ns``: when the bus had the last message that it is made of."""
+        now_ns = self.context.clock.mono_ns()
+        waited_ms = (now_ns - arrived_ns) * 1e-6
+        self._last = message = msgspec.structs.replace(message, published_mono_ns=now_ns, waited_ms=waited_ms)
         self._counts[f"attitudes_{message.integrity}"] += 1
         self.context.bus.publish(ATT, message)
+        now_ns = self.context.clock.mono_ns()
         if self.context.bus.matched(ATT_NMEA):
             self.context.bus.publish(ATT_NMEA, nmea_of(message))
-        now_ns = self.context.clock.mono_ns()
-        self._published_ms.add(now_ns, (now_ns - self._arrived_ns) * 1e-6)
+        self._published_ms.add(now_ns, (now_ns - arrived_ns) * 1e-6)
         if message.received_mono_ns:
             self._latency_ms.add(now_ns, (now_ns - message.received_mono_ns) * 1e-6)
+        return message
 
     def _filter(self, found: BodyAttitude, message: AttitudeMessage, readings: Iterable[Reading]) -> None:
         """Give an epoch to the filter and publish what it says of this instant; that it began anew is told."""
@@ -240,15 +242,8 @@ class AttitudeService(Service):
         self.context.event(level, "antennas_changed", text, used=used, excluded=excluded, missing=found.missing)
 
     def _identity(self) -> dict[str, Any]:
-        now_ns = self.context.clock.mono_ns()
         self._sequence += 1
-        return {
-            "source": self.context.id,
-            "start_id": self.context.start_id,
-            "sequence": self._sequence - 1,
-            "published_mono_ns": now_ns,
-            "waited_ms": (now_ns - self._arrived_ns) * 1e-6,
-        }
+        return {"source": self.context.id, "start_id": self.context.start_id, "sequence": self._sequence - 1}
 
     def _now_s(self) -> float:
         return self.context.clock.mono_ns() * 1e-9
@@ -259,10 +254,11 @@ class AttitudeService(Service):
         late = self._matcher.late[name]
         late_candidates = self._matcher.late_candidates[name]
         counters = ({"late": late} if late else {}) | ({"late_candidates": late_candidates} if late_candidates else {})
-        detail = self._specs[name].kind.value
-        return InputStatus(
-            name=name, state=state, detail=detail, messages=self._messages[name], age_s=age_s, errors=self._errors[name], counters=counters
-        )
+        detail, messages, errors = self._specs[name].kind.value, self._messages[name], self._errors_of(name)
+        return InputStatus(name=name, state=state, detail=detail, messages=messages, age_s=age_s, errors=errors, counters=counters)
+
+    def _errors_of(self, name: str) -> int:
+        return self._errors[name] + (0 if self._geometry is None else self._geometry.errors[name])
 
     def _imu_input(self) -> list[InputStatus]:
         if not self._imu:

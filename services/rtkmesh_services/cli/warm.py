@@ -115,12 +115,13 @@ def _read_legacy() -> None:
 
 
 def _warm_services() -> None:
-    from rtkmesh_services.attitude.warming import warm_choice
+    from rtkmesh_services.attitude.warming import warm_body, warm_choice
     from rtkmesh_services.ingest.warming import warm_decoder
     from rtkmesh_services.solver.warming import warm_engine
 
     warm_engine()
     warm_decoder()
+    warm_body()
     warm_choice()
 
 

@@ -11,6 +11,7 @@ from rtkmesh_services.runtime.file_faults import Faults
 from rtkmesh_services.runtime.words import nearest
 
 SAME_PLACE_M: Final = 0.01
+SOLVER_RISK: Final = 1e-5  # of the engine, where a solver's table names none
 _STRAIGHT: Final = 1e-3
 _SLACK: Final = 1.01  # of a correlation of one: rounded numbers
 _TOLERANCE_SIGMAS: Final = 3.0
@@ -32,8 +33,18 @@ def notes_on(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[
         solver = deployment.solver.get(name)
         if solver is not None and solver.baseline_length_m is None and (length_m := _known_length_m(table, solver)) is not None:
             yield f"[solver.{name}] fixes sooner with 'baseline_length_m = {length_m:.3f}', which [attitude.{id}] knows"
+        if solver is not None:
+            yield from _other_risk(name, solver, id, table)
     if len(table.antennas) > 2 and on_one_line([antenna.position_m for antenna in table.antennas.values()]):
         yield f"[attitude.{id}] its {len(table.antennas)} antennas are on one line: the tilt about it is not seen"
+
+
+def _other_risk(name: str, solver: SolverTable, id: str, table: AttitudeTable) -> Iterator[str]:  # noqa: A002
+    risk = SOLVER_RISK if solver.integrity.risk is None else solver.integrity.risk
+    if risk != table.integrity.risk:
+        levels = "infinite" if risk > table.integrity.risk else f"of a risk of {risk:g}"
+        theirs = f"[attitude.{id}.integrity] has {table.integrity.risk:g}"
+        yield f"[solver.{name}.integrity] has risk {risk:g}, {theirs}: levels of two antennas are {levels}"
 
 
 def _known_length_m(table: AttitudeTable, solver: SolverTable) -> float | None:
