@@ -9,7 +9,16 @@ from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.acceptance import OPEN_SLOPE_FEW, OPEN_SLOPE_LEAST, bears_out, without_slope
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs
-from rtkmesh.rtk.asked_odds import ASKED_OF_SURVEY_CODES, ASKED_OF_WITNESSED, FAIR_CODES, asked_odds, code_level
+from rtkmesh.rtk.asked_odds import (
+    ASKED_OF_STREETS,
+    ASKED_OF_SURVEY_CODES,
+    ASKED_OF_WITNESSED,
+    FAIR_CODES,
+    STREET_CODES,
+    asked_odds,
+    code_level,
+    is_street,
+)
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
 from rtkmesh.rtk.noise import learn_codes, new_code_scale
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEY, Filter
@@ -118,14 +127,20 @@ def test_what_is_asked_follows_the_codes():
     assert asked_odds(code_level(scale), True, here) == ACCEPT_AT_ONCE
     assert asked_odds(0.1, False, np.array([0.6e3, 0.8e3, 0.0])) == pytest.approx(1.1 * ASKED_OF_SURVEY_CODES)
     assert asked_odds(0.1, False, np.array([6e3, 8e3, 0.0])) == ACCEPT_AT_ONCE
+    trial[:, 1] = 9.0 * 50.0, 50.0
+    learn_codes(scale, trial)
+    assert is_street(code_level(scale))
+    assert asked_odds(code_level(scale), True, here) == ASKED_OF_STREETS
+    assert asked_odds(STREET_CODES, False, here) == asked_odds(np.inf, False, here) == ACCEPT_AT_ONCE
 
 
 @settings(deadline=None)
 @given(st.floats(0.02, 30.0), st.booleans(), st.floats(0.0, 50e3), st.floats(1.0, 2.0), st.floats(0.0, 10e3))
 def test_worse_codes_and_longer_baselines_never_ask_for_less(level, told, length_m, worse, further_m):
-    """Monotonous in both, never more than what one search must have anywhere."""
+    """Monotonous in both, never more than what one search must have in streets, nor elsewhere than what it must have at once."""
     near, far = np.array([0.0, length_m, 0.0]), np.array([0.0, length_m + further_m, 0.0])
     asked = asked_odds(level, told, near)
-    assert ASKED_OF_SURVEY_CODES <= asked <= ACCEPT_AT_ONCE
+    assert ASKED_OF_SURVEY_CODES <= asked <= ASKED_OF_STREETS
+    assert asked <= ACCEPT_AT_ONCE or level > STREET_CODES
     assert asked_odds(level * worse, told, near) >= asked
     assert asked_odds(level, told, far) >= asked

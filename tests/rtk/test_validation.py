@@ -6,10 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtkmesh.rtk.ambiguity import Candidates, Search
-from rtkmesh.rtk.memory import DOUBTS, HELD_SINCE_S, SHOWN, new_memory, resolve_setup
+from rtkmesh.rtk.asked_odds import STREET_CODES
+from rtkmesh.rtk.joining import join
+from rtkmesh.rtk.memory import DOUBTS, FIX_SIGMA, HELD_SINCE_S, SHOWN, new_memory, resolve_setup
 from rtkmesh.rtk.options import AmbiguityOptions
-from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, Filter
-from rtkmesh.rtk.validation import FIX_OK, NOT_VALID, PREDICTION_FLOOR_M, departure, fix
+from rtkmesh.rtk.predicted import PREDICTION_FLOOR_M, WEAK_M, carry, departure
+from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, Filter
+from rtkmesh.rtk.validation import FIX_OK, FIX_SIGMA_M, JOIN_FIT_STREET, NOT_VALID, STREET_SIGMA_M, TOO_UNCERTAIN, fix
 
 WAVELENGTH_M = 0.19
 PHASE_SIGMA_M = 0.015
@@ -24,13 +27,13 @@ def directions():
     return np.column_stack([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
 
 
-def floating(held):
+def floating(held, phase_sigma_m=PHASE_SIGMA_M):
     """A filter after an epoch: a position known to a metre, ambiguities by the phases at that position; these integers are held."""
     n, spread = len(INTEGERS), np.zeros((DYNAMIC + len(INTEGERS), 3))
     spread[:3], spread[DYNAMIC:] = np.eye(3), directions() / WAVELENGTH_M
     P = spread @ spread.T
     P[3:DYNAMIC, 3:DYNAMIC] = np.eye(6)
-    P[DYNAMIC:, DYNAMIC:] += (PHASE_SIGMA_M / WAVELENGTH_M) ** 2 * np.eye(n)
+    P[DYNAMIC:, DYNAMIC:] += (phase_sigma_m / WAVELENGTH_M) ** 2 * np.eye(n)
     error_m = np.array([0.4, -0.3, 0.5])
     x = np.concatenate([TRUE_M + error_m, np.zeros(6), INTEGERS + directions() @ error_m / WAVELENGTH_M])
     history = np.zeros((n, HISTORY))
@@ -38,14 +41,14 @@ def floating(held):
     return Filter(x, P, FIRST_PAIR_KEY + np.arange(n), history)
 
 
-def fixed(held, prediction):
+def fixed(held, prediction, level=1.0, last_sigma_m=0.0, phase_sigma_m=PHASE_SIGMA_M):
     """What is shown of these integers with this prediction, and the doubts it leaves."""
     n, memory = len(INTEGERS), new_memory()
-    memory[SHOWN], memory[HELD_SINCE_S] = 1.0, 0.0
+    memory[SHOWN], memory[HELD_SINCE_S], memory[FIX_SIGMA] = 1.0, 0.0, last_sigma_m
     candidates = Candidates(np.arange(n), np.zeros(n, np.int64), np.arange(n) + 1, np.arange(n) + 1.0)
     free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, -np.inf, False)
     setup = resolve_setup(AmbiguityOptions(), None, 0.01)
-    return fix(floating(held), candidates, free, memory, setup, prediction, 1.0), memory[DOUBTS]
+    return fix(floating(held, phase_sigma_m), candidates, free, memory, setup, prediction, 1.0, level), memory[DOUBTS]
 
 
 def predicted(at_m, sigma_m=0.01):
@@ -79,3 +82,67 @@ def test_departures_are_normalised_by_both(seed, sigma_m):
     P, x, at_m = 1e-3 * A @ A.T + 1e-5 * np.eye(DYNAMIC), rng.normal(size=DYNAMIC), rng.normal(size=3)
     gap_m, cov_m2 = x[:3] - at_m, P[:3, :3] + (PREDICTION_FLOOR_M + sigma_m) ** 2 * np.eye(3)
     assert departure(x, P, predicted(at_m, sigma_m)) == pytest.approx(gap_m @ np.linalg.solve(cov_m2, gap_m), rel=1e-9)
+
+
+def sigma_m(resolution):
+    return np.sqrt(np.trace(resolution.P[:3, :3]))
+
+
+def test_in_streets_a_fix_must_be_better_known():
+    """The same fix of few satellites: good enough where codes are fair, or their noise is not known, but not where they are reflected."""
+    street, unpredicted = STREET_CODES + 1.0, np.full(7, np.nan)
+    fair, _ = fixed(INTEGERS, unpredicted, phase_sigma_m=0.03)
+    assert STREET_SIGMA_M < sigma_m(fair) < FIX_SIGMA_M
+    assert fair.reason == fixed(INTEGERS, unpredicted, np.inf, phase_sigma_m=0.03)[0].reason == FIX_OK
+    assert fixed(INTEGERS, unpredicted, street, phase_sigma_m=0.03)[0].reason == TOO_UNCERTAIN
+
+
+def test_the_last_fix_helps_one_that_few_satellites_carry():
+    """Good fixes before, then few satellites: the last one, moved on, is known better than this one; a bad one before helps little."""
+    street, at_m = STREET_CODES + 1.0, TRUE_M + np.array([0.02, 0.0, -0.02])
+    alone, _ = fixed(INTEGERS, np.full(7, np.nan), phase_sigma_m=0.03)
+    helped, _ = fixed(INTEGERS, predicted(at_m, 0.005), street, 0.015, 0.03)
+    little, _ = fixed(INTEGERS, predicted(at_m, 0.005), street, 1.0, 0.03)
+    assert helped.reason == FIX_OK
+    assert sigma_m(helped) < STREET_SIGMA_M
+    assert np.linalg.norm(helped.x[:3] - at_m) < np.linalg.norm(alone.x[:3] - at_m)
+    assert little.x[:3] == pytest.approx(alone.x[:3], abs=1e-3)
+    assert little.reason == TOO_UNCERTAIN
+
+
+def test_fixes_of_many_satellites_stay_as_they_are():
+    """What is known well is not moved by what was before."""
+    alone, _ = fixed(INTEGERS, np.full(7, np.nan), phase_sigma_m=0.003)
+    assert sigma_m(alone) < WEAK_M
+    beside, _ = fixed(INTEGERS, predicted(TRUE_M + 0.01, 0.005), last_sigma_m=0.005, phase_sigma_m=0.003)
+    assert np.array_equal(beside.x, alone.x)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.5), st.floats(0.0, 0.5))
+def test_the_last_fix_is_an_observation(seed, sigma_m, last_sigma_m):
+    """State and covariance are those of a Kalman update with its place, by the textbook."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(DYNAMIC, DYNAMIC))
+    P, x, at_m = 1e-2 * A @ A.T + 1e-5 * np.eye(DYNAMIC), rng.normal(size=DYNAMIC), rng.normal(size=3)
+    H, R = np.eye(3, DYNAMIC), (last_sigma_m**2 + (PREDICTION_FLOOR_M + sigma_m) ** 2) * np.eye(3)
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    wanted_x, wanted_P = x + K @ (at_m - H @ x), P - K @ H @ P
+    carry(x, P, predicted(at_m, sigma_m), last_sigma_m)
+    assert x == pytest.approx(wanted_x, rel=1e-6, abs=1e-8)
+    assert pytest.approx(wanted_P, rel=1e-6, abs=1e-8) == P
+
+
+@pytest.mark.parametrize(("off_cyc", "fit", "joins"), [(0.0, 4.0, True), (0.3, 8.0, True), (0.3, JOIN_FIT_STREET, False)])
+def test_a_reflected_phase_does_not_join_in_streets(off_cyc, fit, joins):
+    """Four satellites are held; the fifth has a phase that is a part of a cycle off: too far for its sigma to be that of an integer."""
+    held = INTEGERS.copy()
+    held[2] = np.nan
+    f = floating(held, 0.012)
+    f.x[DYNAMIC + 2] += off_cyc
+    f.history[:, ARC_EPOCHS] = 5.0
+    n = len(INTEGERS)
+    candidates = Candidates(np.arange(n), np.zeros(n, np.int64), np.arange(n) + 1, np.arange(n) + 1.0)
+    pairs = np.array([[k + DYNAMIC, n - 1 + DYNAMIC] for k in (0, 1, 3)])
+    join(f, f, candidates, pairs, fit)
+    assert (f.history[2, INTEGER] == INTEGERS[2]) == joins
+    assert np.isnan(f.history[2, INTEGER]) != joins

@@ -79,7 +79,7 @@ def try_new(
             slopeless = straight.odds > sloped.odds and bears_out(f, sloped, straight)
             with_glonass = straight if slopeless else sloped
             if with_glonass.odds > best.odds:
-                best, penalty, wide, needed = with_glonass, log(SUBSETS), True, ACCEPT_AT_ONCE
+                best, penalty, wide, needed = with_glonass, log(SUBSETS), True, max(asked, ACCEPT_AT_ONCE)
                 level = flat if slopeless else f
     if not best.resolved or len(best.pairs) < setup.minimum_ambiguities:
         memory[STREAK_EPOCHS] = 0.0

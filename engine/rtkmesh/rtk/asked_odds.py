@@ -1,6 +1,6 @@
 """Which log odds one search must have before its integers are believed: what the codes say of the place and the receivers."""
 
-from math import sqrt
+from math import isfinite, sqrt
 from typing import Final
 
 import numpy as np
@@ -21,6 +21,9 @@ SURVEY_CODES: Final = 0.3
 FAIR_CODES: Final = 1.2
 ASKED_OF_SURVEY_CODES: Final = 5.0
 ASKED_OF_WITNESSED: Final = 6.0
+# Beyond STREET_CODES wrong ones of a single search had up to 8.5 (8.9 m off) in simulated streets, and to 10.3 with GLONASS.
+STREET_CODES: Final = 4.0
+ASKED_OF_STREETS: Final = 9.0
 DOUBLED_M: Final = 10e3  # one epoch cannot tell its atmosphere: there log odds are worth half (``integrity.sureness``)
 
 
@@ -31,10 +34,18 @@ def code_level(scale: Matrix) -> float:
 
 
 @kernel
+def is_street(level: float) -> bool:
+    """Return whether codes of this variance factor (infinite: not known) are those of a place with many reflections."""
+    return isfinite(level) and level > STREET_CODES
+
+
+@kernel
 def asked_odds(level: float, witnessed: bool, baseline_m: Vector) -> float:
     """Return the log odds from which one search is believed at once, for codes of this variance factor and this baseline (m); ``witnessed``
     is one whose odds are those with GLONASS (``witness``).
     """
+    if is_street(level):
+        return ASKED_OF_STREETS
     near = ACCEPT_AT_ONCE
     if level <= SURVEY_CODES:
         near = ASKED_OF_SURVEY_CODES

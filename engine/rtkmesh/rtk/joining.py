@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.models.odds import NORM_LIMIT
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, condition, held_differences, held_references, pack_pairs, search_pairs, take
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.memory import is_held
@@ -21,9 +20,9 @@ JOIN_TRIES: Final = 4  # all of the new ones, then without the newer, at last th
 
 
 @kernel
-def join(f: Filter, aided: Filter, candidates: Candidates, held: Indices) -> None:
+def join(f: Filter, aided: Filter, candidates: Candidates, held: Indices, fit: float) -> None:
     """Give integers to ambiguities that the held ones (and a prediction) determine: all of the new ones, or without the newer, at last the
-    oldest alone.
+    oldest alone; ``fit`` is the squared norm that each may have.
     """
     known = is_held(f, candidates)
     new = np.empty(len(known), np.bool_)
@@ -51,7 +50,7 @@ def join(f: Filter, aided: Filter, candidates: Candidates, held: Indices) -> Non
         place = (k * (len(ages) - 1)) // (JOIN_TRIES - 1)
         if k > 0 and place == ((k - 1) * (len(ages) - 1)) // (JOIN_TRIES - 1):
             continue
-        if _join_older(f, rows, references, pairs, ages[place], x, P, scale):
+        if _join_older(f, rows, references, pairs, ages[place], x, P, scale, fit):
             return
 
 
@@ -73,7 +72,9 @@ def _ages(f: Filter, rows: Indices) -> Vector:
 
 
 @kernel
-def _join_older(f: Filter, rows: Indices, references: Indices, pairs: Indices, least: float, x: Vector, P: Matrix, scale: float) -> bool:
+def _join_older(
+    f: Filter, rows: Indices, references: Indices, pairs: Indices, least: float, x: Vector, P: Matrix, scale: float, fit: float
+) -> bool:
     """Give integers to the new ambiguities whose arcs have at least so many epochs, if the held ones determine them."""
     chosen, count = np.empty(len(rows), np.int64), 0
     for k in range(len(rows)):
@@ -85,7 +86,7 @@ def _join_older(f: Filter, rows: Indices, references: Indices, pairs: Indices, l
         some[i, 0], some[i, 1] = pairs[chosen[i], 0], pairs[chosen[i], 1]
     fixed, norms = np.zeros((2, count)), np.zeros(2)
     status, _ = search_pairs(x, P, some, NODE_LIMIT, fixed, norms)
-    if status != OK or norms[1] - norms[0] < 2.0 * JOIN_ODDS * scale or norms[0] > NORM_LIMIT * scale * count:
+    if status != OK or norms[1] - norms[0] < 2.0 * JOIN_ODDS * scale or norms[0] > fit * scale * count:
         return False
     for i in range(count):
         f.history[rows[chosen[i]], INTEGER] = f.history[references[chosen[i]], INTEGER] + fixed[0, i]

@@ -242,12 +242,12 @@ def _find_integers(
     if look.far:
         walks = _walks(setup, _INFORMED_SIGMA_PPM * look.length_m, known.memory)
         use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
-        settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction)
+        settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction, look.level)
         note_agreement(known.memory, confirmed, time_s)
         note_fix(known.memory, settled.resolution.fixed, time_s)
         return settled
     note_agreement(known.memory, confirmed, time_s)
-    resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s)
+    resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level)
     note_fix(known.memory, resolution.fixed, time_s)
     norm = held_norm(f, candidates) if look.sharper < 1.0 else resolution.norm
     if len(informed.keys) > 0:  # the rover has come near
