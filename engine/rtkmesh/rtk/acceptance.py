@@ -1,6 +1,6 @@
 """Which integers are believed when none are held: from one clear search, from a subset, or from searches that keep agreeing."""
 
-from math import log
+from math import log, sqrt
 from typing import Final
 
 import numpy as np
@@ -51,6 +51,7 @@ WEAKEST: Final = 5  # so many of the weakest satellites are left out in turn
 # of the others, 0.9 of four and 3.5 of five; right ones had 3.6 and more of six to eight, 4.6 and more of five.
 OPEN_SLOPE_LEAST: Final = 3.0
 OPEN_SLOPE_FEW: Final = 4.0  # where the integers of the others are fewer than ``witness.LEAST``
+WIDE_M: Final = 5.0  # sigma in 3D of a float solution from which on odds must be better: epochs under open sky are three times as good
 SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chance
 
 
@@ -64,12 +65,12 @@ def try_new(
     """
     release(f)
     memory[HELD_SINCE_S] = np.inf
-    best, level, penalty, wide, needed = free, f, 0.0, False, asked_of_free
-    if not _strong(best, 0.0, setup, needed) and helped and len(candidates.row) > 1:
+    best, level, penalty, wide, needed, space = free, f, 0.0, False, asked_of_free, log_space(f)
+    if not _strong(best, space, setup, needed) and helped and len(candidates.row) > 1:
         found = search_all(aided, candidates, setup)
         if found.odds > best.odds:
             best, needed = found, asked
-    if not _strong(best, 0.0, setup, needed) and len(candidates.row) > 1:
+    if not _strong(best, space, setup, needed) and len(candidates.row) > 1:
         other = _best_subset(f, candidates, free, setup, time_s)
         if other.odds > best.odds:
             best, penalty, needed = other, log(SUBSETS), asked
@@ -91,8 +92,8 @@ def try_new(
     if few:
         lasting_s = max(lasting_s, min(far2 * WEAK_STREAK_S, FAR_STREAK_S))
     persistent = memory[STREAK_EPOCHS] >= STREAK_EPOCHS_LEAST and time_s - memory[STREAK_START_S] >= lasting_s
-    likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty
-    strong = not few and _strong(best, penalty, setup, needed)
+    likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty + space
+    strong = not few and _strong(best, penalty + space, setup, needed)
     if not (likely or strong) or best.norm > NORM_LIMIT * len(best.pairs):
         return
     if wide:  # the slope that GLONASS fits with is known now
@@ -103,6 +104,16 @@ def try_new(
     good = penalty == 0.0 and best.norm <= GOOD_FIT * len(best.pairs)
     clear = strong and penalty == 0.0 and needed < ACCEPT_AT_ONCE  # so are odds that are enough where codes are good
     memory[SHOWN] = 1.0 if good or clear or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
+
+
+@kernel
+def log_space(f: Filter) -> float:
+    """Return the logarithm of the space in which integers are looked for, over that of a sigma of WIDE_M (0 at least).
+
+    So many more places are there at which wrong integers may fit by chance; and where phases are reflected, the right ones do not fit.
+    """
+    sigma_m = sqrt(f.P[0, 0] + f.P[1, 1] + f.P[2, 2])
+    return 3.0 * log(max(sigma_m / WIDE_M, 1.0))
 
 
 @kernel

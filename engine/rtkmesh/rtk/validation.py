@@ -249,7 +249,7 @@ def fix(
         norm = condition(f.x, f.P, pairs, integers, 0.0, np.arange(DYNAMIC), x, P)
         sigma_m = _sigma_m(P)
         away = departure(x, P, prediction) if isfinite(prediction[3]) else 0.0
-        if sigma_m > WEAK_M and isfinite(prediction[3]) and not _is_far(f):
+        if sigma_m > WEAK_M and is_street(level) and isfinite(prediction[3]) and not _is_far(f):
             carry(x, P, prediction, memory[FIX_SIGMA])
             sigma_m = _sigma_m(P)
         reason = FIX_OK
