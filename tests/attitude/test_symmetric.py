@@ -28,6 +28,12 @@ def test_equal_eigenvalues_and_nonsense_end() -> None:
     assert np.isnan(eigen(np.full((3, 3), np.nan))[0]).all()
 
 
+def test_an_element_next_to_nothing_is_nothing() -> None:
+    """Subnormal ones too: the ratio of the diagonal to them would overflow."""
+    values, vectors = eigen(np.array([[2.0, 3e-311], [3e-311, 0.0]]))
+    assert (values.tolist(), np.abs(vectors).tolist()) == ([0.0, 2.0], [[0.0, 1.0], [1.0, 0.0]])
+
+
 def test_products_are_those_of_numpy() -> None:
     """Matrices of any memory order."""
     rng = np.random.default_rng(1)

@@ -12,6 +12,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _SWEEPS: Final = 40
+_NOTHING: Final = 1e-40  # of the diagonal: its ratio to that would overflow
 _DONE: Final = 1e-30  # of the sum of squares: what is off the diagonal is nothing
 
 
@@ -44,7 +45,8 @@ def eigen(matrix: Matrix) -> tuple[Vector, Matrix]:
 @kernel
 def _rotate(a: Matrix, vectors: Matrix, p: int, q: int) -> None:
     """Turn the axes p and q until the element between them is zero."""
-    if a[p, q] == 0.0:
+    if abs(a[p, q]) <= _NOTHING * (abs(a[p, p]) + abs(a[q, q])):
+        a[p, q] = a[q, p] = 0.0
         return
     ratio = 0.5 * (a[q, q] - a[p, p]) / a[p, q]
     t = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + hypot(1.0, ratio))
