@@ -150,14 +150,14 @@ def play(chunks: list[list[bytes]], feeds: list[socket.socket], hub: str, rate: 
             for connection, data in zip(connections, epoch, strict=True):
                 connection.sendall(data)
             sent.append(time.monotonic_ns())
-        time.sleep(1.0)
+        time.sleep(1.0)  # what the last epochs give is under way, or never comes
     if first < 0:
         raise TimeoutError(f"the attitude did not start within {START_S:.0f} s")
     return {"sent": sent, "told": told, "rate": rate, "first": first}
 
 
 def quantiles(stamps: Stamps, told: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
-    """Return p50, p90, p99 and mean of each stage (ms) over the attitudes that passed their test."""
+    """Return p50, p95, p99 and mean of each stage (ms) over the attitudes that passed their test."""
     rate, good = told["rate"], [(m, ns) for m, ns in told["told"] if m.integrity == "ok"]
 
     def number(tow_s: float) -> int:

@@ -12,13 +12,13 @@ from rtkmesh.attitude.protection import Guarding, Levels, Told, baseline_levels,
 from rtkmesh.attitude.rigid_body import Layout
 from rtkmesh.attitude.rotation import NED_FROM_ENU, rotation_of_angles
 from rtkmesh.gnss.integrity import Integrity
-from rtkmesh.rtk.options import IntegrityOptions
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.config import SolverTable
 from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_services.attitude.body import BodyAttitude
 from rtkmesh_services.attitude.readings import SourceKind, wrong_probability
+from rtkmesh_services.runtime.attitude_checks import risk_of
 
 _ANGLES = ("heading", "pitch", "roll")
 
@@ -28,7 +28,7 @@ class Guard:
 
     def __init__(self, table: AttitudeTable, layout: Layout | None, solvers: Mapping[str, SolverTable]) -> None:
         options = table.integrity
-        self._watched = frozenset(name for name, solver in solvers.items() if _risk(solver) <= options.risk)
+        self._watched = frozenset(name for name, solver in solvers.items() if risk_of(solver) <= options.risk)
         self._guarding = Guarding(options.risk, options.antenna_fault, radians(table.unseen_tilt_deg))
         self._layout = layout
         tilt_deg = options.alert_tilt_deg
@@ -112,7 +112,3 @@ class Guard:
 
 def _across(found: BodyAttitude) -> bool:
     return any(reading.across is not None for reading in found.readings)
-
-
-def _risk(solver: SolverTable) -> float:
-    return IntegrityOptions().risk if solver.integrity.risk is None else solver.integrity.risk

@@ -39,11 +39,16 @@ def notes_on(id: str, table: AttitudeTable, deployment: Deployment) -> Iterator[
         yield f"[attitude.{id}] its {len(table.antennas)} antennas are on one line: the tilt about it is not seen"
 
 
-def _other_risk(name: str, solver: SolverTable, id: str, table: AttitudeTable) -> Iterator[str]:  # noqa: A002
-    risk = SOLVER_RISK if solver.integrity.risk is None else solver.integrity.risk
+def risk_of(solver: SolverTable) -> float:
+    """Return the risk of a solver's protection levels."""
+    return SOLVER_RISK if solver.integrity.risk is None else solver.integrity.risk
+
+
+def _other_risk(name: str, solver: SolverTable, attitude: str, table: AttitudeTable) -> Iterator[str]:
+    risk = risk_of(solver)
     if risk != table.integrity.risk:
         levels = "infinite" if risk > table.integrity.risk else f"of a risk of {risk:g}"
-        theirs = f"[attitude.{id}.integrity] has {table.integrity.risk:g}"
+        theirs = f"[attitude.{attitude}.integrity] has {table.integrity.risk:g}"
         yield f"[solver.{name}.integrity] has risk {risk:g}, {theirs}: levels of two antennas are {levels}"
 
 
