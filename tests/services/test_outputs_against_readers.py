@@ -16,6 +16,7 @@ import pytest
 from tests.services.text_world import HEIGHT_M, LAT_DEG, LON_DEG, TOW_S, WEEK, TextWorld, ecef_m, satellites, solution
 
 from rtkmesh_schemas.config import OutputTable
+from rtkmesh_services.runtime.clock import ManualClock
 from rtkmesh_services.texts.geoid import geoid_height_m
 
 WAIT_S = 20.0
@@ -29,7 +30,7 @@ def table(target: str, **options: object) -> OutputTable:
 
 
 def written(path: Path, **options: object) -> Path:
-    with TextWorld(out=table(f"file://{path}", **options)) as world:
+    with TextWorld(ManualClock(), out=table(f"file://{path}", **options)) as world:
         world.solve(*TRACK)
     return path
 
@@ -80,7 +81,7 @@ def test_rtklib_reads_our_sentences_and_status_records(tmp_path: Path) -> None:
     assert [last.rr[axis] for axis in range(3)] == pytest.approx(TRACK[-1].position_ecef_m, abs=0.02)
     rtklib.freesolbuf(buffer)
     path = tmp_path / "out.stat"
-    with TextWorld(out=table(f"file://{path}", format="stat", status_level="residual")) as world:
+    with TextWorld(ManualClock(), out=table(f"file://{path}", format="stat", status_level="residual")) as world:
         for number, one in enumerate(TRACK):
             world.solve(one)
             world.see(satellites(number))
@@ -116,7 +117,7 @@ def test_str2str_relays_equal_bytes_from_our_servers(
         "caster": table(f"ntrip-caster://127.0.0.1:{ntrip}/POS", users={"me": "pw"}, **options),
     }
     with (
-        TextWorld(**outs) as world,
+        TextWorld(ManualClock(), **outs) as world,  # no epoch waits too long for its satellites, in one output and not in another
         running(str2str, "-in", f"tcpcli://127.0.0.1:{tcp}", "-out", f"file://{tmp_path}/tcp"),
         running(str2str, "-in", f"ntrip://me:pw@127.0.0.1:{ntrip}/POS", "-out", f"file://{tmp_path}/ntrip"),
     ):
@@ -124,23 +125,14 @@ def test_str2str_relays_equal_bytes_from_our_servers(
         for number, one in enumerate(TRACK):
             world.solve(one)
             world.see(satellites(number))
-        world.until(lambda: (tmp_path / "sent").stat().st_size > 1000)
-        sent = wait_for(tmp_path / "sent")
+        world.until(lambda: (tmp_path / "sent").stat().st_size == world.status("out").inputs[-1].bytes)
+        sent = (tmp_path / "sent").read_bytes()
+        assert len(sent) > 1000
         for name in ("tcp", "ntrip"):
             relayed = tmp_path / name
             world.until(lambda relayed=relayed: relayed.exists() and relayed.read_bytes().endswith(sent[-200:]))
     for name in ("tcp", "ntrip"):
         assert (tmp_path / name).read_bytes().removeprefix(b"\r\n") == sent
-
-
-def wait_for(path: Path) -> bytes:
-    """Return what the file has when it has stopped growing: it is written four times a second."""
-    deadline_s, seen = time.monotonic() + WAIT_S, b""
-    while not seen or not seen.endswith(b"\n") or path.read_bytes() != seen:
-        assert time.monotonic() < deadline_s
-        seen = path.read_bytes()
-        time.sleep(0.6)
-    return seen
 
 
 # --- readers of sentences
