@@ -75,13 +75,18 @@ def test_get_waits_for_a_put_of_another_thread():
     assert inbox.get(PATIENCE_S) == "late"
 
 
-def test_wake_ends_a_wait():
-    """A signal does not wait for the next epoch."""
-    inbox = Inbox()
-    threading.Timer(0.05, inbox.wake).start()
-    began = time.monotonic()
+@pytest.mark.parametrize("before_s", [0.0, 0.05])
+def test_wake_ends_a_wait(before_s: float):
+    """A signal does not wait for the next epoch, also when it comes just before the wait; it ends one wait only."""
+    inbox, began = Inbox(), time.monotonic()
+    if before_s:
+        threading.Timer(before_s, inbox.wake).start()
+    else:
+        inbox.wake()
     assert inbox.get(PATIENCE_S) is None
     assert time.monotonic() - began < PATIENCE_S / 2.0
+    threading.Timer(0.05, inbox.put, ["later"]).start()
+    assert inbox.get(PATIENCE_S) == "later"
 
 
 def test_put_wait_paces_a_reader():
