@@ -17,7 +17,7 @@ from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.service import Context
 
-WAIT_S = 10.0
+WAIT_S = 60.0  # only where all is broken
 WEEK, TOW_S = 2390, 345600.0
 LAT_DEG, LON_DEG, HEIGHT_M = 47.4, 8.5, 480.0
 BASE_ECEF_M = (4276000.0, 639000.0, 4671900.0)
