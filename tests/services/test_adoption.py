@@ -53,7 +53,7 @@ class Watch:
 
     def until(self, what: Callable[[], Any], timeout_s: float = PATIENCE_S) -> Any:
         with self.changed:
-            assert self.changed.until(what, timeout_s), self.keeper.rows()
+            assert self.changed.wait_for(what, timeout_s), self.keeper.rows()
         return what()
 
     def row(self, id_: str) -> dict[str, Any]:
