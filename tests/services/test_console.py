@@ -333,6 +333,6 @@ def test_a_script_by_pipe(site: Any, solver: Solver):
     assert rows.returncode == 0
     assert [sorted(json.loads(line))[:1] for line in rows.stdout.splitlines()] == [["code"], ["config"]]
     gone = subprocess.run(
-        [*command[:4], "gone", "--timeout", "0.3", *command[5:]], input="", capture_output=True, text=True, check=False, timeout=60
+        [*command[:4], "gone", "--timeout", "2", *command[5:]], input="", capture_output=True, text=True, check=False, timeout=60
     )
     assert (gone.returncode, "no process 'gone'" in gone.stderr) == (3, True)

@@ -252,7 +252,7 @@ def test_too_many_clients_are_turned_away(consoles: Consoles):
 @pytest.mark.e2e
 def test_who_says_nothing_is_logged_out(consoles: Consoles):
     """After the idle time, with a word of farewell."""
-    script = OldScript(consoles.open(idle_s=0.3).port)
+    script = OldScript(consoles.open(idle_s=1.5).port)
     script.log_in()
     assert script.to_the_end() == b"\r\nidle for too long: logged out\r\n"
 
