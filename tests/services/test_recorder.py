@@ -221,7 +221,7 @@ for number in range(1200):
     recorder.send(FRAMES[number % 400])
     if number % 300 == 299:
         recorder.life.step(0.3)
-while recorder.status().data["waiting_bytes"]:
+while len(content_of(pathlib.Path(sys.argv[1]))) < sum(len(FRAMES[number % 400]) for number in range(1200)):
     recorder.life.step(0.1)
 recorder.life.finish()
 """
