@@ -47,7 +47,7 @@ def running(file: Path, data: Path, *options: str) -> Iterator[subprocess.Popen[
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
-        process.wait(20.0)
+        process.wait(60.0)
 
 
 def replayed(name: str, data: Path, folder: Path, speed: str) -> list[SolutionMessage]:
@@ -116,6 +116,6 @@ def test_a_replay_in_which_a_process_is_killed_goes_on_to_its_end(killed: str, d
 
         bus.subscribe(STATUS.expression(), note, history=True)
         bus.subscribe(SOL.key("rtk"), take)
-        assert process.wait(60.0) == 0
+        assert process.wait(240.0) == 0
     assert len(set(times)) == len(times)
     assert len(times) == 1205 if killed != "rtk" else 600 < len(times) < 1205

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.patience import PATIENCE_S
 
 from rtkmesh_schemas.keys import STATUS
 from rtkmesh_schemas.status import ServiceStatus, State
@@ -89,21 +90,23 @@ class Fleet:
 
     def bus(self, name: str = "test") -> ZenohBus:
         """Return a bus to the hub."""
-        return open_bus(name, [self.endpoint], namespace=self.namespace, timeout_s=10.0)
+        return open_bus(name, [self.endpoint], namespace=self.namespace, timeout_s=PATIENCE_S)
 
     def _listens(self) -> bool:
         with socket.socket() as probe:
             probe.settimeout(1.0)
             return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
-    def until(self, condition: Callable[[], object], timeout_s: float = 15.0) -> None:
+    def until(self, condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
         """Return as soon as the condition holds; fail when it does not within the time."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < deadline, "waited in vain"
             time.sleep(0.01)
 
-    def status_until(self, bus: ZenohBus, name: str, condition: Callable[[ServiceStatus], bool], timeout_s: float = 15.0) -> ServiceStatus:
+    def status_until(
+        self, bus: ZenohBus, name: str, condition: Callable[[ServiceStatus], bool], timeout_s: float = PATIENCE_S
+    ) -> ServiceStatus:
         """Return the first status of a process that fulfils the condition."""
         inbox = Inbox()
         handle = bus.subscribe(STATUS.key(name), inbox.put, history=True)
@@ -128,6 +131,13 @@ class Fleet:
                 process.send_signal(signal.SIGCONT)
             process.kill()
             process.communicate()
+
+
+@pytest.fixture(autouse=True)
+def patient_writers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a test's own process files may be written out for as long as the machine wants: nobody cuts it off after two seconds."""
+    for module in ("recorder.service", "output.files"):
+        monkeypatch.setattr(f"rtkmesh_services.{module}.CLOSE_S", PATIENCE_S)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.patience import PATIENCE_S
 from tests.services.conftest import unused_port
 from tests.services.roles_in_one_process import Site
 from tests.services.simulated_receiver import acknowledgement
@@ -36,7 +37,6 @@ from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.service import Context
 
-WAIT_S = 20.0
 PLACE = (4268987.0, 1178894.0, 4574798.0)
 CN0_DBHZ = {"G05": 40.625, "G12": 41.625, "G13": 42.625, "G14": 43.625}
 STATION = ReferenceStation(100, PLACE, antenna="ADVNULLANTENNA", antenna_serial="12345678")
@@ -157,7 +157,7 @@ class World:
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Step until a condition holds; return what it gave."""
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
             self.step()
             if found := condition():

@@ -13,13 +13,13 @@ from typing import Any
 
 import pynmeagps
 import pytest
+from tests.patience import PATIENCE_S
 from tests.services.text_world import HEIGHT_M, LAT_DEG, LON_DEG, TOW_S, WEEK, TextWorld, ecef_m, satellites, solution
 
 from rtkmesh_schemas.config import OutputTable
 from rtkmesh_services.runtime.clock import ManualClock
 from rtkmesh_services.texts.geoid import geoid_height_m
 
-WAIT_S = 20.0
 COUNT = 20
 STATUS = [1, 2, 4, 5]
 TRACK = [solution(number, status=STATUS[number % 4]) for number in range(COUNT)]
@@ -184,10 +184,10 @@ def test_gpsd_reads_our_tcp_server(free_port: Callable[[], int]) -> None:
 @contextmanager
 def watching(port: int) -> Iterator[Callable[[], list[dict[str, Any]]]]:
     """A client of gpsd: a function that returns its reports since the last call."""
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + PATIENCE_S
     while True:
         try:
-            connection = socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
+            connection = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
             break
         except ConnectionRefusedError:
             assert time.monotonic() < deadline_s
