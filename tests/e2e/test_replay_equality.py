@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import ServiceStatus
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.cli.offline import Run, open_inputs
+from rtkmesh_services.control.endpoints import free_port
 from rtkmesh_services.ingest.replay import date_of
 from rtkmesh_services.ingest.urls import parse_source
 from rtkmesh_services.mapping.options import session_options
@@ -29,12 +29,6 @@ from rtkmesh_services.runtime.zenoh_bus import open_bus
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RUN_DEPENDENT = {"source", "start_id", "sequence", "waited_s", "solve_ms", "received_mono_ns", "published_mono_ns"}
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from tests.patience import PATIENCE_S
 from rtkmesh_schemas.keys import STATUS
 from rtkmesh_schemas.status import ServiceStatus, State
 from rtkmesh_schemas.wire import decode
+from rtkmesh_services.control.endpoints import free_port as free_loopback_port
 from rtkmesh_services.runtime.inbox import Inbox
 from rtkmesh_services.runtime.state_files import STATE_VARIABLE
 from rtkmesh_services.runtime.zenoh_bus import ZenohBus, open_bus
@@ -29,21 +30,13 @@ if TYPE_CHECKING:
 UNDER_TEST = Path(__file__).parent / "process_under_test.py"
 
 
-def unused_port() -> int:
-    """Return a loopback port that nobody listens on."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port: int = listener.getsockname()[1]
-        return port
-
-
 @dataclass
 class Fleet:
     """The processes of one test; all are killed at its end."""
 
     folder: Path
     namespace: str = ""
-    port: int = field(default_factory=unused_port)
+    port: int = field(default_factory=free_loopback_port)
     running: list[subprocess.Popen[str]] = field(default_factory=list)
     under_test: Path = UNDER_TEST
 
@@ -180,7 +173,7 @@ def solver(site: Fleet) -> Iterator["Solver"]:
 @pytest.fixture(scope="session")
 def free_port() -> Callable[[], int]:
     """A function that returns a loopback port that nobody listens on."""
-    return unused_port
+    return free_loopback_port
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from tests.patience import PATIENCE_S
-from tests.services.conftest import unused_port
 from tests.services.roles_in_one_process import Site
 from tests.services.simulated_receiver import acknowledgement
 
@@ -27,6 +26,7 @@ from rtkmesh_schemas.config_flockwave import FlockwaveTable
 from rtkmesh_schemas.config_presets import PresetTable
 from rtkmesh_schemas.keys import Role
 from rtkmesh_schemas.presets import ingest_id
+from rtkmesh_services.control.endpoints import free_port
 from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.service import ControlService
@@ -115,7 +115,7 @@ class World:
         self.puppets = {name: Puppet() for name in (BASE_A, BASE_B)}
         self._thread = threading.current_thread()
         self._second = 0
-        port = unused_port()
+        port = free_port()
         self.deployment = Deployment(
             ingest={name: self._table(name) for name in (BASE_A, BASE_B)},
             preset={

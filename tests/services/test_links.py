@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 from tests.patience import PATIENCE_S
 
+from rtkmesh_services.control.endpoints import free_port
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
 from rtkmesh_services.ingest.urls import parse_source
 
@@ -138,12 +139,6 @@ def test_a_missing_device_is_named(links: list[Link]) -> None:
 def test_nothing_is_written_while_nothing_is_connected(links: list[Link]) -> None:
     start(links, f"tcp://127.0.0.1:{free_port()}").until_state(LinkState.ERROR)
     assert not links[-1].write(b"lost")
-
-
-def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def connect(port: int) -> socket.socket:

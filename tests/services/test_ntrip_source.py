@@ -16,6 +16,7 @@ from tests.patience import PATIENCE_S
 from tests.services.scripted_caster import Script, ScriptedCaster, chunked
 
 from rtkmesh.codecs.rtcm3_encode import frame
+from rtkmesh_services.control.endpoints import free_port
 from rtkmesh_services.errors import RefusedError, SourceError
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
 from rtkmesh_services.ingest.ntrip_source import FindPlace
@@ -358,10 +359,8 @@ def test_a_caster_is_never_hammered():
 def rtklib_caster(rtklib_program: Callable[[str], str], tmp_path: Path) -> Iterator[tuple[int, socket.socket]]:
     """A str2str that serves mount point MP with user u, password p; yields its port and the socket that feeds it."""
     str2str = rtklib_program("str2str")
-    with socket.create_server(("127.0.0.1", 0)) as feeder, socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-        probe.close()
+    with socket.create_server(("127.0.0.1", 0)) as feeder:
+        port = free_port()
         feed = f"tcpcli://127.0.0.1:{feeder.getsockname()[1]}"
         out = f"ntripc://u:p@:{port}/MP:MP;RTCM 3.2;1077(1);2;GPS;X;DEU;52.5;13.4;0;0;x;none;B;N;4800;"
         process = subprocess.Popen(
