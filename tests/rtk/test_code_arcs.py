@@ -4,18 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.rtk.simulated_session import solutions
 
-from rtkmesh.gnss.ephemeris import ReferenceStation
 from rtkmesh.gnss.signals import satellite_number, signal_number
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.code_arcs import ALONE_S, CARRIED_S, inflation_of, new_codes, since_seen
 from rtkmesh.rtk.matching import Pairs
 from rtkmesh.rtk.options import Mode, RtkOptions
-from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
 from rtkmesh.rtk.solution import Status
-from rtkmesh.simulation.receiver import Receiver
-from rtkmesh.simulation.scenario import SimulatedStream, truth
-from rtkmesh.simulation.sky import SATELLITES, broadcast
+from rtkmesh.simulation.scenario import truth
 
 
 def pairs(*names: str) -> Pairs:
@@ -49,33 +46,14 @@ def normalised_errors(rate_hz: float, runs: int) -> list[float]:
     """Return the mean normalised squared error of each run of half a minute by codes and Dopplers alone."""
     found: list[float] = []
     for seed in range(runs):
-        start, at = GpsTime(2446, 400020.0 + 137.0 * seed), truth("demo", seed=seed)
-        ends: dict[Source, Receiver] = {
-            source: SimulatedStream("demo", name, seed=seed, rate_hz=rate_hz, start=start).receiver()
-            for source, name in ((Source.ROVER, "rover"), (Source.BASE, "base"))
-        }
-        session, squares = session_at(start, at(start).antennas_ecef_m["base"]), list[float]()
-        for k in range(round(30.0 * rate_hz)):
-            for source, receiver in ends.items():
-                session.feed(source, receiver.observe(start + k / rate_hz).epoch, k / rate_hz)
-            for solution in session.solutions(k / rate_hz + 0.01):
-                if solution.status is Status.DGPS:
-                    error = solution.position_ecef_m - at(solution.time).antennas_ecef_m["rover"]
-                    squares.append(float(error @ np.linalg.solve(solution.position_cov_ecef_m2, error)) / 3.0)
+        start, at, squares = GpsTime(2446, 400020.0 + 137.0 * seed), truth("demo", seed=seed), list[float]()
+        for solution in solutions(RtkOptions(mode=Mode.DGPS), seed, start, rate_hz, round(30.0 * rate_hz)):
+            if solution.status is Status.DGPS:
+                error = solution.position_ecef_m - at(solution.time).antennas_ecef_m["rover"]
+                squares.append(float(error @ np.linalg.solve(solution.position_cov_ecef_m2, error)) / 3.0)
         assert len(squares) > 25 * rate_hz
         found.append(float(np.mean(squares)))
     return found
-
-
-def session_at(start: GpsTime, base_ecef_m: np.ndarray) -> Session:
-    """Return a live session by codes that knows ephemerides and the base's position."""
-    options = RtkOptions(mode=Mode.DGPS)
-    session = Session(SessionOptions(options, pairing_for(options, replay=False)))
-    for satellite in SATELLITES.tolist():
-        session.feed(Source.NAVIGATION, broadcast(satellite, start))
-    x, y, z = base_ecef_m.tolist()
-    session.feed(Source.BASE, ReferenceStation(1, (x, y, z)), 0.0)
-    return session
 
 
 @pytest.mark.slow

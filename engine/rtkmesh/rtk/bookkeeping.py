@@ -12,6 +12,7 @@ from rtkmesh.gnss.signals import GLONASS, SBAS
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.code_arcs import inflation_of
 from rtkmesh.rtk.filter import predict_motion, reset_state
+from rtkmesh.rtk.phase_arcs import phase_inflations
 from rtkmesh.rtk.residuals import BASE_PHASE, CHANNEL, CODE, ELEVATION_RAD, PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.slips import CERTAIN, KNOWN_SLIP, NO_SLIP, SlipSetup, Verdicts, find_slips
 from rtkmesh.rtk.state import (
@@ -355,7 +356,8 @@ def lay_out(
     take_half_cycles(d.table, f.history, ambiguity)
     begin_ambiguities(f.x, f.P, f.history, ambiguity, d.pairs.satellite, d.table, DYNAMIC, times_s[0])
     inflation = inflations(f.history, ambiguity, code_since_s)
-    layout = Layout(ambiguity, ionosphere, place_of(f.keys, ZENITH_KEY), place_of(f.keys, SLOPE_KEY), inflation)
+    by_phase = phase_inflations(f.history, ambiguity, times_s[0])
+    layout = Layout(ambiguity, ionosphere, place_of(f.keys, ZENITH_KEY), place_of(f.keys, SLOPE_KEY), inflation, by_phase)
     return Arranged(f, layout, tested.redundancy, tested.rover.step_m, tested.rover.cov_m2)
 
 

@@ -57,13 +57,16 @@ class Update(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Where the states of each pair are (rows of the filter's keys, -1: none) and how much its code's variance is inflated."""
+    """Where the states of each pair are (rows of the filter's keys, -1: none) and how much the variances of its code and its
+    phase are inflated.
+    """
 
     ambiguity: Indices
     ionosphere: Indices
     zenith: int
     slope: int
     code_inflation: Vector
+    phase_inflation: Vector
 
 
 class Work(NamedTuple):
@@ -117,7 +120,7 @@ def update(f: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mp
         for i in range(states):
             f.x[i] += work.dx[i]
             f.P[i, :] = work.P_new[i]
-    return _outcome(ok, work, n)
+    return _outcome(ok, work, layout.phase_inflation)
 
 
 @kernel
@@ -141,14 +144,15 @@ def _differ(found: Vector, factors: Vector) -> bool:
 
 
 @kernel
-def _outcome(ok: bool, work: Work, n: int) -> Update:
-    """Return residuals and what was used."""
+def _outcome(ok: bool, work: Work, phase_inflation: Vector) -> Update:
+    """Return residuals and what was used; squares of phases are normalised by variances that are not inflated."""
+    n = len(phase_inflation)
     code_used, phase_used, chi2, dof = np.empty(n, np.bool_), np.empty(n, np.bool_), 0.0, 0.0
     for k in range(n):
         w = work.observations[n + k, W]
         code_used[k], phase_used[k] = work.observations[k, W] > 0.0, w > 0.0
         if w > 0.0:
-            chi2 += work.value[n + k] ** 2 * w
+            chi2 += work.value[n + k] ** 2 * w * phase_inflation[k]
             dof += min(max(work.variance[n + k] * w, 0.0), 1.0)
     return Update(ok, work.value[:n], work.value[n:], code_used, phase_used, chi2, dof)
 
@@ -175,7 +179,9 @@ def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector
             out[row, H_SLOPE] = table[k, CHANNEL]
             places[row, AT_SLOPE] = layout.slope if part == 1 and table[k, CHANNEL] != 0.0 else -1
             y = table[k, CODE] if part == 0 else table[k, PHASE]
-            variance = table[k, CODE_VARIANCE] * layout.code_inflation[k] * scale if part == 0 else table[k, PHASE_VARIANCE] * phase_scale
+            variance = table[k, CODE_VARIANCE] * layout.code_inflation[k] * scale
+            if part == 1:
+                variance = table[k, PHASE_VARIANCE] * layout.phase_inflation[k] * phase_scale
             for i in range(4):
                 if places[row, AT_ZENITH + i] >= 0:
                     y -= out[row, H_ZENITH + i] * f.x[DYNAMIC + places[row, AT_ZENITH + i]]
