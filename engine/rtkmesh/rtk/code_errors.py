@@ -28,11 +28,12 @@ from rtkmesh.rtk.update import Layout, Update
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# What the variance of floats is multiplied by before codes have shown anything, and what that is worth in degrees of freedom. Simulated
-# runs ask for 0.3 to 0.9, recordings for 0.7 to 6: a mean of minutes is one sample of few degrees, so the start counts for some. (A start
-# of 0.25 made the few satellites of one band and of streets 2 to 5 times too sure.)
+# What the variance of floats is multiplied by before codes have shown anything, and what that is worth in degrees of freedom. The filter
+# alone is right within a factor of two (simulated open sky asks for 0.5 to 0.9, recordings for 0.6 to 1.6), and a mean of minutes is one
+# sample of few degrees: so the start counts for as much as the redundancy of one band. (A start of 0.25 made the few satellites of one band
+# and of streets 2 to 5 times too sure.)
 PRIOR: Final = 1.0
-PRIOR_DOF: Final = 3.0
+PRIOR_DOF: Final = 6.0
 LEAST: Final = 0.05
 MOST: Final = 20.0
 FAR_M: Final = 5e3  # from here on what the atmosphere does to floats, which no code shows, is not to be made less

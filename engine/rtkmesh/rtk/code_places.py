@@ -2,8 +2,12 @@
 
 Codes that arrive by reflections are late, all of them: together they move the place of an epoch and leave small residuals, and their
 residuals are all that the noise of codes is learned from. But the surroundings change on the move, while the float solution is carried by
-phases. The squared distance of the codes' own place from it, normalised by its covariance and averaged over a minute, is 1 where residuals
-tell all, and 3 to 30 in streets.
+phases. The squared distance of the codes' own place from it, normalised by its covariance and averaged over a minute, is 1 or less where
+residuals tell all, and 2 to 11 in streets.
+
+What to expect of it: the solution's own error adds trace(N P) to the codes' three degrees of freedom, with N the codes' normal equations
+and P the solution's covariance; what both errors have in common takes 2 trace(N C) away. If the codes' errors were new in every epoch, C
+would be nearly 0; if they lasted longer than the solution is old, it would be P. Half of P leaves three.
 """
 
 from math import exp, isfinite
@@ -27,8 +31,8 @@ CHANGE_S: Final = 2.0  # an epoch that follows sooner sees nearly the same refle
 PRIOR_DOF: Final = 3.0  # at a factor of 1: little more than an epoch
 # What comes and goes is seen; of what stays the float solution has taken its part. Simulated streets ask for 8, two bad codes for more, one
 # that drifts for 2; under open sky and trees there is nothing to multiply.
-LASTING: Final = 5.0
-CHANCE: Final = 1.5  # so much a minute of multipath that lasts for half a minute scatters by chance: a few squares are no mean
+LASTING: Final = 12.0
+CHANCE: Final = 1.3  # so much a minute of multipath that lasts for half a minute scatters by chance: a few squares are no mean
 MOST_PER_DOF: Final = 60.0  # one code that is hundreds of metres off is no scatter
 
 
@@ -43,8 +47,6 @@ def place_factor(scale: Matrix) -> float:
 def learn_place(scale: Matrix, epoch: Epochwise, f: Filter, modelled_m: Vector, turn: Matrix, step_s: float) -> None:
     """Take in the distance of an epoch's codes' own place from the float solution; ``modelled_m`` is the baseline (ECEF) that the
     differences were modelled for, ``step_s`` the time since the last epoch (NaN: none).
-
-    What the solution has of this epoch's codes takes from the degrees of freedom (as a residual's redundancy).
     """
     gap_m, dof, square = np.empty(UNKNOWNS), float(UNKNOWNS), 0.0
     for i in range(UNKNOWNS):
@@ -54,10 +56,6 @@ def learn_place(scale: Matrix, epoch: Epochwise, f: Filter, modelled_m: Vector, 
     for i in range(UNKNOWNS):
         for j in range(UNKNOWNS):
             square += gap_m[i] * epoch.reduced[i, j] * gap_m[j]
-            for a in range(3):
-                for b in range(3):
-                    dof -= epoch.reduced[i, j] * turn[j, a] * f.P[a, b] * turn[i, b]
-    dof = max(dof, 0.0)
     if not (isfinite(step_s) and isfinite(square)):
         return
     kept, share = exp(-step_s / MEMORY_S), min(step_s / CHANGE_S, 1.0)

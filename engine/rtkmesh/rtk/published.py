@@ -29,9 +29,6 @@ MEMORY_DOF: Final = 500.0  # some tens of epochs; multipath changes within minut
 LEAST: Final = 0.005  # 0.4 mm per receiver at the zenith: no better phases exist
 MOST: Final = 4.0  # as the filter's own
 LARGEST_RATIO: Final = 25.0  # of an epoch's variance to the filter's: beyond, an epoch hardly sees one direction
-# How much of what a fix owes to earlier epochs, by ambiguities that are not held, counts: the filter takes multipath of successive epochs
-# for independent. 1: galway_a_glw1 2.1 and stromlo_l12 1.9; 0: simulated runs 0.69.
-FILTER_SHARE: Final = 0.4
 # What satellites do not show against each other because it is smooth over the sky: gradients of ionosphere and troposphere. Simulated runs
 # and kanagawa_60s (5.3 km: 3.3 mm) show 0.3 and 1 mm per km; of the filter's own terms the factor takes most.
 SMOOTH_HORIZONTAL: Final = 0.35e-6
@@ -62,6 +59,8 @@ def fix_covariance(
 ) -> Matrix:
     """Return the covariance (m2, ECEF) of a fix that ``P`` is the filter's for; learn from its residuals if it is ``sure``.
 
+    It is that of the epoch's own phases. The filter knows more, by ambiguities that are not held; but it takes multipath of successive
+    epochs for independent, so its covariance is taken only where the epoch alone hardly sees a direction.
     ``modelled_m`` is the baseline (ECEF) that the differences were modelled for.
     """
     geodetic, filters = geodetic_from_ecef(base_ecef_m + modelled_m), phase_factor(scale)
@@ -70,17 +69,17 @@ def fix_covariance(
     if sure and epoch.dof > 0:
         learn_fix(scale, epoch.chi2, float(epoch.dof))
     tells = epoch.solved and _is_sound(epoch.cov, (P[0, 0] + P[1, 1] + P[2, 2]) / filters)
-    factor, share = fix_factor(scale), FILTER_SHARE if tells else 1.0
+    factor = fix_factor(scale)
     length_m, out = sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2), np.empty((3, 3))
     smooth = ((SMOOTH_HORIZONTAL * length_m) ** 2, (SMOOTH_HORIZONTAL * length_m) ** 2, (SMOOTH_VERTICAL * length_m) ** 2)
     for i in range(3):
         for j in range(3):
-            out[i, j] = factor * share * P[i, j] / filters
+            out[i, j] = 0.0 if tells else factor * P[i, j] / filters
             for a in range(3):
                 out[i, j] += turn[a, i] * smooth[a] * turn[a, j]
                 for b in range(3):
                     if tells:
-                        out[i, j] += factor * (1.0 - share) * turn[a, i] * epoch.cov[a, b] * turn[b, j]
+                        out[i, j] += factor * turn[a, i] * epoch.cov[a, b] * turn[b, j]
     return out
 
 
