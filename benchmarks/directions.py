@@ -12,7 +12,6 @@ processor time of the process. `how`: how many epochs were combined how (rtkmesh
 
 import argparse
 import json
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -70,7 +69,7 @@ def main() -> int:
     except KeyError as error:
         print(f"directions: there is no case {error}", file=sys.stderr)
         return 2
-    subprocess.run([*_PROGRAM, "warm", "--json"], check=True, stdout=subprocess.DEVNULL)  # compiling is not what is measured
+    rtklib.run([*_PROGRAM, "warm", "--json"])  # compiling is not what is measured
     report: dict[str, Rows] = {}
     with tempfile.TemporaryDirectory(prefix="rtkmesh_directions_") as folder:
         out = options.keep or Path(folder)

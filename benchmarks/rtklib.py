@@ -66,10 +66,14 @@ class Finished:
 
 
 def run(argv: list[str]) -> Finished:
-    """Run a program to its end; ProgramError with its last words unless it ends with 0."""
+    """Run a program to its end; ProgramError with its last words unless it ends with 0.
+
+    Python's programs may keep what they compile, as where they are installed: PYTHONDONTWRITEBYTECODE would cost half a second each.
+    """
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         started = monotonic()
-        process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=out, stderr=err)
+        process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=out, stderr=err, env=environment)
         watch = threading.Timer(TIMEOUT_S, process.kill)
         watch.start()
         _, status, usage = os.wait4(process.pid, 0)

@@ -1,10 +1,11 @@
 """A .conf file of rtkrcv that uses most of what it can: lines are replaced by name."""
 
-import socket
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from rtkmesh_services.control.endpoints import free_port as free_loopback_port
 
 RTKRCV = """\
 # rtkrcv options (2023/01/02 03:04:05, v.demo5 b34k)
@@ -104,11 +105,4 @@ def confs(data: Path) -> list[Path]:
 @pytest.fixture(scope="session")
 def free_port() -> Callable[[], int]:
     """A function that returns a loopback port that nobody listens on."""
-
-    def port() -> int:
-        with socket.socket() as listener:
-            listener.bind(("127.0.0.1", 0))
-            number: int = listener.getsockname()[1]
-            return number
-
-    return port
+    return free_loopback_port

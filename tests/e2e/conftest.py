@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.patience import PATIENCE_S
 
 from rtkmesh_schemas.command import Reply
 from rtkmesh_schemas.keys import SOL, STATUS
@@ -48,7 +49,7 @@ class Network:
     @property
     def bus(self) -> Bus:
         if self._bus is None:
-            self._bus = open_bus(f"test_{os.getpid()}", [self.endpoint], timeout_s=20.0)
+            self._bus = open_bus(f"test_{os.getpid()}", [self.endpoint], timeout_s=PATIENCE_S)
         return self._bus
 
     def statuses(self) -> dict[str, ServiceStatus]:
@@ -75,7 +76,7 @@ class Network:
         return found
 
     def ask(self, id_: str, op: str, **args: Any) -> Reply:
-        return call(self.bus, id_, op, args, 5.0)[0]
+        return call(self.bus, id_, op, args, 15.0)[0]
 
     def rows(self) -> dict[str, dict[str, Any]]:
         reply = self.ask("control", "status")
@@ -91,7 +92,7 @@ class Network:
         pids = [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
         return [pid for pid in pids if is_running(pid) and self._mark in environment_of(pid)]
 
-    def until(self, what: Callable[[], Any], timeout_s: float = 30.0) -> Any:
+    def until(self, what: Callable[[], Any], timeout_s: float = PATIENCE_S) -> Any:
         """Wait until ``what`` is true; return what it gave."""
         deadline = time.monotonic() + timeout_s
         while not (found := what()):
@@ -138,7 +139,7 @@ class Deployment(Network):
     def check(self) -> None:
         assert self.process.poll() is None, f"it ended with {self.process.returncode}: {self.text()}"
 
-    def interrupt(self, number: int = signal.SIGINT, timeout_s: float = 15.0) -> int:
+    def interrupt(self, number: int = signal.SIGINT, timeout_s: float = PATIENCE_S) -> int:
         """Send a signal and return the exit code."""
         self.process.send_signal(number)
         return self.wait(timeout_s)
@@ -150,7 +151,7 @@ class Deployment(Network):
         except subprocess.TimeoutExpired:
             pytest.fail(f"it does not end: {self.text()}")
         for reader in self._readers:
-            reader.join(5.0)
+            reader.join(PATIENCE_S)
         return code
 
     def left(self) -> list[int]:
@@ -162,7 +163,7 @@ class Deployment(Network):
     def close(self) -> None:
         if self.process.poll() is None:
             self.process.kill()
-        self.wait(10.0)
+        self.wait(PATIENCE_S)
         self.kill_left()
 
     def _read_events(self) -> None:

@@ -5,11 +5,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tests.e2e.test_replay_equality import REPOSITORY, free_port, running
+from tests.e2e.test_replay_equality import REPOSITORY, running
 
 from rtkmesh_schemas.attitude import AttitudeMessage
 from rtkmesh_schemas.keys import ATT, ATT_FILTERED
 from rtkmesh_schemas.wire import decode, encode
+from rtkmesh_services.control.endpoints import free_port
 from rtkmesh_services.runtime.zenoh_bus import open_bus
 
 # A pair of receivers as one body: its position, its baseline and a filter.

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from tests.e2e.conftest import Network, free_besides, is_running
+from tests.patience import PATIENCE_S
 
 from rtkmesh_schemas.keys import SOL
 from rtkmesh_schemas.solution import SolutionMessage
@@ -219,7 +220,7 @@ def test_logs_of_the_living_and_the_dead(detached: Any) -> None:
         assert robot.ask("one", "shutdown").ok
         assert any("started by control" in follower.stdout.readline() for _ in range(5))
         follower.send_signal(signal.SIGINT)
-        assert follower.wait(10.0) == 130
+        assert follower.wait(PATIENCE_S) == 130
     robot.until(lambda: robot.rows()["one"]["restarts"] == 1 and robot.all_running())
     robot.ask_here("down")
     lines = [json.loads(line) for line in robot.ask_here("logs", "--json").splitlines()]

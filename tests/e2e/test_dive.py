@@ -79,9 +79,9 @@ def test_the_solver_rests_under_water_and_no_fix_is_wrong(up: Callable[..., Depl
         deployment.until(lambda: fixes, 90.0)
         begun = codes("rule_begun")  # a dive may have been over before the solver was there
         deployment.until(lambda: codes("rule_begun") > begun, 60.0)
-        deployment.until(lambda: statuses["auv_position"].state == "STOPPED", 10.0)
+        deployment.until(lambda: statuses["auv_position"].state == "STOPPED")
         before, ended = len(fixes), codes("rule_ended")
-        deployment.until(lambda: codes("rule_ended") > ended, 30.0)
+        deployment.until(lambda: codes("rule_ended") > ended)
         surfaced = time.monotonic()
         deployment.until(lambda: len(fixes) >= before + 20, 60.0)
         assert time.monotonic() - surfaced < 20.0

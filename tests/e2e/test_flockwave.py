@@ -28,7 +28,7 @@ class Client:
     """A line out, a line in; notifications are skipped."""
 
     def __init__(self, port: int) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port), timeout=20.0)
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=60.0)
         self.stream = self._socket.makefile("rwb")
         self._asked = 0
 
@@ -70,7 +70,7 @@ def test_a_running_base_is_told_to_skybrush_and_zenoh(up: Callable[..., Deployme
     first = deployment.until(told, 120.0)
     assert first["messages"]["rtcm3/1077"][0] < 1000.0
     assert len(first["cnr"]) > 10
-    [answer] = deployment.bus.get(FLOCKWAVE.key(CONTROL_ID), payload=b'{"type": "X-RTK-STAT"}', encoding="application/json", timeout_s=5.0)
+    [answer] = deployment.bus.get(FLOCKWAVE.key(CONTROL_ID), payload=b'{"type": "X-RTK-STAT"}', encoding="application/json", timeout_s=15.0)
     second = json.loads(answer.payload)
     assert (second["type"], second["antenna"]) == ("X-RTK-STAT", first["antenna"])
     assert set(second["messages"]) >= set(first["messages"])
@@ -86,5 +86,5 @@ def test_a_port_that_is_taken_ends_the_start_with_a_word(up: Callable[..., Deplo
     taken = free_besides(port)
     with socket.create_server(("127.0.0.1", taken)):
         deployment = up(f'[flockwave]\ntcp = "127.0.0.1:{taken}"\n[monitor.one]\n')
-        assert deployment.wait(30.0) == 2
+        assert deployment.wait(60.0) == 2
     assert f"[flockwave] 127.0.0.1:{taken}: Address already in use" in deployment.text()

@@ -16,7 +16,7 @@ from rtkmesh_schemas.wire import decode
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.usefixtures("compiled")]
 
-EPOCHS = 25  # with ephemerides: how long they take to come depends on the machine
+EPOCHS = 50  # with ephemerides: how long they take to come depends on the machine
 SOLVER = """
 [solver.to_{name}]
 rover = "{name}"

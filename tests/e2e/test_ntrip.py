@@ -42,7 +42,7 @@ def test_a_rover_fixes_by_the_nearest_mount_point_of_our_caster(up: Callable[...
     deployment.bus.subscribe("rtk/**", lambda sample: seen.append(sample.payload))
     statuses, fixed = deployment.statuses(), deployment.fixes("rtk")
     deployment.until(lambda: len(fixed) > 10, 60.0)
-    deployment.until(lambda: {"base", "caster", "stranger"} <= set(statuses), 10.0)
+    deployment.until(lambda: {"base", "caster", "stranger"} <= set(statuses))
     assert statuses["base"].inputs[0].detail == f"ntrip://127.0.0.1:{free}/ROOF (HTTP/1.1)"
     assert "401 Unauthorized: the caster does not take this password" in statuses["stranger"].reason
     assert [row.name.split()[0] for row in statuses["caster"].inputs] == ["caster", "client"]
@@ -96,7 +96,7 @@ def test_a_caster_that_dies_is_replaced_by_the_next_one_and_taken_again(up: Call
 
     fixes(10)
     assert deployment.ask("control", "stop", id="one").ok
-    deployment.until(lambda: statuses["base"].data.get("source") == 1, 30.0)
+    deployment.until(lambda: statuses["base"].data.get("source") == 1)
     fixes(10)
     assert statuses["base"].reason.startswith(f"using fallback 1, ntrip://127.0.0.1:{other}/ROOF")
     assert "the first choice: " in statuses["base"].reason
@@ -109,7 +109,7 @@ def test_a_caster_that_dies_is_replaced_by_the_next_one_and_taken_again(up: Call
 
 def run(*arguments: str) -> str:
     command = [sys.executable, "-m", "rtkmesh_services.cli.main", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20, env=os.environ.copy()).stdout
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60, env=os.environ.copy()).stdout
 
 
 @pytest.fixture

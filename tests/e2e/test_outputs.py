@@ -65,7 +65,7 @@ class Reader:
         return [line for line in self.data.decode().splitlines() if line[3:6] == word]
 
     def join(self) -> None:
-        self._thread.join(10.0)
+        self._thread.join(60.0)
         assert not self._thread.is_alive()
 
 

@@ -125,7 +125,7 @@ def test_bases_are_switched_for_all_and_for_one_and_fail_over_without_losing_an_
     assert max(map(abs, told.data["jump_enu_m"])) < 0.1
     assert not [event for event in events if event.code == "base_jump"]
 
-    [answer] = deployment.bus.get(f"{PRESET.key('control', name='near')}?op=select;solver=second", timeout_s=5.0)
+    [answer] = deployment.bus.get(f"{PRESET.key('control', name='near')}?op=select;solver=second", timeout_s=15.0)
     assert decode(Reply, answer.payload, answer.encoding).ok
     deployment.until(uses(second, "base_near"))
     assert first[-1].base == "base_far"

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.status import ServiceStatus
 from rtkmesh_schemas.wire import decode
 from rtkmesh_services.cli.offline import Run, open_inputs
+from rtkmesh_services.control.endpoints import free_port
 from rtkmesh_services.ingest.replay import date_of
 from rtkmesh_services.ingest.urls import parse_source
 from rtkmesh_services.mapping.options import session_options
@@ -31,12 +31,6 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 RUN_DEPENDENT = {"source", "start_id", "sequence", "waited_s", "solve_ms", "received_mono_ns", "published_mono_ns"}
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @contextmanager
 def running(file: Path, data: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
     """A deployment of its own process group that is interrupted at the end and must leave nothing."""
@@ -47,7 +41,7 @@ def running(file: Path, data: Path, *options: str) -> Iterator[subprocess.Popen[
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
-        process.wait(20.0)
+        process.wait(60.0)
 
 
 def replayed(name: str, data: Path, folder: Path, speed: str) -> list[SolutionMessage]:
@@ -116,6 +110,6 @@ def test_a_replay_in_which_a_process_is_killed_goes_on_to_its_end(killed: str, d
 
         bus.subscribe(STATUS.expression(), note, history=True)
         bus.subscribe(SOL.key("rtk"), take)
-        assert process.wait(60.0) == 0
+        assert process.wait(240.0) == 0
     assert len(set(times)) == len(times)
     assert len(times) == 1205 if killed != "rtk" else 600 < len(times) < 1205

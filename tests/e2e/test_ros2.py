@@ -4,7 +4,6 @@ import json
 import os
 import queue
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -124,9 +123,7 @@ class Listener:
 
 @pytest.fixture
 def listener(ros_python: str, data: Path, tmp_path: Path) -> Iterator[Listener]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     file = tmp_path / "ros.toml"
     length_m = float(np.linalg.norm(ROVER_ECEF_M - BASE_ECEF_M))
     lat_rad, lon_rad, height_m = geodetic_from_ecef(BASE_ECEF_M)

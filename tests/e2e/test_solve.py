@@ -216,3 +216,15 @@ def test_rtcm_log_takes_its_date_from_the_other_recording(data: Path) -> None:
     first = next(message for message in inputs.rover.messages() if isinstance(message, Epoch))
     inputs.rover.close()
     assert first.time.week in {1564, 1565}
+
+
+@pytest.mark.data
+def test_sentences_of_no_use_are_left_out(data: Path) -> None:
+    """Satellites in view are half of an M8's log, and no solution takes anything from them."""
+    from rtkmesh_services.cli.offline import open_inputs
+
+    rover = open_inputs(data / "galway_m8p" / "rover-20181004-1237.ubx.gz", None, (), None).rover
+    assert sum(1 for _ in rover.messages()) > 1000
+    assert rover.decoding.ignored["nmea/GPGSV"] > 1000
+    assert not any("GSV" in name for name in rover.decoding.decoded)
+    assert rover.decoding.decoded["nmea/GNRMC"] > 1000

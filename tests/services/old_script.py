@@ -3,7 +3,8 @@
 import socket
 from contextlib import suppress
 
-WAIT_S = 20.0
+from tests.patience import PATIENCE_S
+
 GREETING = b"\xff\xfb\x03\xff\xfb\x01\r\n\x1b[1m** rtkrcv ver."
 LOGIN = b" console (h:help) **\x1b[0m\r\npassword: "
 PASSWORD = b"secret"
@@ -30,7 +31,7 @@ class OldScript:
     """A client that waits for what it expects, as `expect` does."""
 
     def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
         self._rest = b""
 
     def send(self, data: bytes) -> None:

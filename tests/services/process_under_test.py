@@ -1,6 +1,7 @@
-"""A process for the tests of the runtime: ``python process_under_test.py CONFIG ID [WARM_S]``. Its operations are ways to misbehave.
+"""A process for the tests of the runtime: ``python process_under_test.py CONFIG ID [FILE]``. Its operations are ways to misbehave.
 
-The config's hub says where to connect. It runs through the same ``run_service`` as every role.
+The config's hub says where to connect. With a FILE it warms until there is such a file.
+It runs through the same ``run_service`` as every role.
 """
 
 import sys
@@ -17,6 +18,8 @@ from rtkmesh_services.runtime.configuration import load_site
 from rtkmesh_services.runtime.process import leave, run_service
 from rtkmesh_services.runtime.service import Context, Report, Service, accepted, done
 from rtkmesh_services.runtime.zenoh_bus import open_bus
+
+LONG_S = 0.02  # of a publish that waits for others
 
 
 class Misbehaving(Service):
@@ -39,10 +42,11 @@ class Misbehaving(Service):
         self._hang_close = False
         self._received = 0
         self._slow_s = 0.0
-        self._longest_publish_s = 0.0
+        self._long_publishes = 0
 
     def warm(self) -> None:
-        self.context.wait(float(sys.argv[3]) if len(sys.argv) > 3 else 0.0)
+        while len(sys.argv) > 3 and not Path(sys.argv[3]).exists() and not self.context.stopping.is_set():
+            self.context.wait(0.01)
 
     def open(self) -> None:
         self.context.subscribe("rtk/*/obs", lane="obs")
@@ -75,7 +79,7 @@ class Misbehaving(Service):
             for number in range(int(request.args["count"])):
                 began = time.monotonic()
                 self.context.bus.publish(SOL_TEXT, "x" * 1000 + str(number), format="flood")
-                self._longest_publish_s = max(self._longest_publish_s, time.monotonic() - began)
+                self._long_publishes += time.monotonic() - began > LONG_S
             return done("published")
         if request.op == "hang_close":
             self._hang_close = True
@@ -86,7 +90,7 @@ class Misbehaving(Service):
         return accepted(request.op)
 
     def report(self) -> Report:
-        return Report(counters={"received": self._received}, data={"longest_publish_s": self._longest_publish_s})
+        return Report(counters={"received": self._received}, data={"long_publishes": self._long_publishes})
 
     def close(self) -> None:
         if self._hang_close:

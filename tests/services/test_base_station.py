@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from tests.patience import PATIENCE_S, SteadyClock
 from tests.services.simulated_receiver import PLACE, SimulatedReceiver, key, running
 from tests.services.simulated_text_receivers import SimulatedMosaic, SimulatedUnicore, TextReceiver
 
@@ -30,8 +31,6 @@ from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.service import Context
 from rtkmesh_services.runtime.state_files import STATE_VARIABLE
 
-WAIT_S = 20.0
-
 
 class Base:
     """An ingest with a base station, in this process; its receiver is real bytes away."""
@@ -43,13 +42,13 @@ class Base:
         self.bus = MemoryBus("base", network)
         self.asker = MemoryBus("asker", network)
         deployment = Deployment(ingest={"base": self.table})
-        context = Context(id="base", role=Role.INGEST, deployment=deployment, bus=self.bus)
+        context = Context(id="base", role=Role.INGEST, deployment=deployment, bus=self.bus, clock=SteadyClock())
         self.life = Lifecycle(IngestService(context), warm_in_thread=False)
         self.life.start()
         self.life.step(0.0)  # it opens
 
     def until(self, condition: Callable[[], Any]) -> Any:
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
             self.life.step(0.005)
             if found := condition():

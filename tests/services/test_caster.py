@@ -5,13 +5,14 @@ import queue
 import socket
 import struct
 import subprocess
-import time
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from random import Random
 
 import pytest
+from tests.patience import PATIENCE_S, until
 from tests.services.scripted_caster import ScriptedCaster
 
 from rtkmesh.codecs.framing import Framer
@@ -40,7 +41,6 @@ from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.service import Context
 
-WAIT_S = 10.0
 QUICK = Backoff(0.01, 0.05, refused_first_s=0.05, refused_last_s=0.05)
 
 
@@ -61,15 +61,8 @@ def caster() -> Iterator[Caster]:
     caster.close()
 
 
-def until(condition: Callable[[], object]) -> None:
-    deadline_s = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "waited in vain"
-        time.sleep(0.005)
-
-
 def ask(port: int, request: str) -> socket.socket:
-    connection = socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
+    connection = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
     connection.sendall(request.encode())
     return connection
 
@@ -96,13 +89,13 @@ def test_a_client_gets_the_station_at_once_and_then_every_frame(caster: Caster, 
     try:
         data = b""
         while STATION not in data:
-            item = items.get(timeout=WAIT_S)
+            item = items.get(timeout=PATIENCE_S)
             data += item.data if isinstance(item, Chunk) else b""
         for one in FRAMES:
             caster.publish("BASE", one)
             caster.publish("OTHER", rtcm(1087))
         while not data.endswith(FRAMES[-1]):
-            item = items.get(timeout=WAIT_S)
+            item = items.get(timeout=PATIENCE_S)
             data += item.data if isinstance(item, Chunk) else b""
         assert data.removeprefix(b"\r\n") == STATION + b"".join(FRAMES)
         [client] = caster.clients()
@@ -174,7 +167,7 @@ def test_a_client_that_does_not_read_loses_whole_frames_and_nobody_waits(caster:
     """Oldest first, bounded, and what arrives is framed as before; another client gets everything."""
     slow = socket.socket()
     slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    slow.settimeout(WAIT_S)
+    slow.settimeout(PATIENCE_S)
     slow.connect(("127.0.0.1", caster.port))
     slow.sendall(f"GET /BASE HTTP/1.1\r\nNtrip-Version: Ntrip/2.0\r\n{AUTHORIZED}\r\n".encode())
     quick = ask(caster.port, f"GET /BASE HTTP/1.0\r\n{AUTHORIZED}\r\n")
@@ -211,7 +204,7 @@ def test_noise_from_hundreds_of_strangers_disturbs_nobody(caster: Caster):
     """Random bytes, half requests, resets: the thread lives, nothing is left, and a client is served."""
     random = Random(7)
     for number in range(300):
-        with socket.create_connection(("127.0.0.1", caster.port), timeout=WAIT_S) as stranger:
+        with socket.create_connection(("127.0.0.1", caster.port), timeout=PATIENCE_S) as stranger:
             beginning = random.choice([b"", b"GET /BASE HTTP/1.1\r\nAuthorization: Basic ", b"POST / HTTP/1.1\r\n", b"\r\n"])
             with suppress(OSError):
                 stranger.sendall(beginning + random.randbytes(random.randrange(600)) + random.choice([b"", b"\r\n\r\n"]))
@@ -248,8 +241,10 @@ def test_str2str_as_client_gets_every_frame(caster: Caster, rtklib_program: Call
 )
 def test_a_push_sends_every_frame_and_the_station_first_after_a_drop(url: str, first: bytes, chunks: bool):
     received: queue.Queue[bytes] = queue.Queue()
+    again = threading.Event()
 
     def script(connection: socket.socket, number: int) -> None:
+        assert number == 0 or again.wait(PATIENCE_S)
         connection.sendall(b"HTTP/1.1 200 OK\r\n\r\n" if chunks else b"ICY 200 OK\r\n")
         reader, data = AnswerReader(), b""
         reader.feed(b"HTTP/1.1 200 OK\r\n" + (b"Transfer-Encoding: chunked\r\n" if chunks else b"") + b"\r\n")
@@ -262,14 +257,15 @@ def test_a_push_sends_every_frame_and_the_station_first_after_a_drop(url: str, f
     try:
         for one in (STATION, *FRAMES[:5]):
             push.send(one)
-        assert received.get(timeout=WAIT_S) in (STATION + b"".join([STATION, *FRAMES[:5]]), b"".join([STATION, *FRAMES[:5]]))
+        assert received.get(timeout=PATIENCE_S) in (STATION + b"".join([STATION, *FRAMES[:5]]), b"".join([STATION, *FRAMES[:5]]))
         assert caster.request(0).startswith(first)
         until(lambda: push.state == "error")
         assert "closed by the caster" in push.detail
+        again.set()
         until(lambda: len(caster.requests) == 2)
         for one in FRAMES[5:10]:
             push.send(one)
-        assert received.get(timeout=WAIT_S) == STATION + b"".join(FRAMES[5:10])
+        assert received.get(timeout=PATIENCE_S) == STATION + b"".join(FRAMES[5:10])
     finally:
         push.close()
         caster.close()

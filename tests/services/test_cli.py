@@ -203,11 +203,11 @@ def test_the_commands_of_daily_use(site: Any):
     assert [reply["id"] for reply in json.loads(all_.stdout)] == ["hub", "p"]
     unknown = rtkmesh("cmd", "p", "crsh", *where)
     assert (unknown.returncode, "did you mean 'crash'" in unknown.stderr) == (2, True)
-    absent = rtkmesh("cmd", "q", "status", "--timeout", "0.3", *where)
+    absent = rtkmesh("cmd", "q", "status", "--timeout", "2", *where)
     assert (absent.returncode, "absent" in absent.stderr) == (3, True)
     echo = rtkmesh("echo", "*/status", "-n", "2", "--json", *where)
     assert {json.loads(line)["value"]["role"] for line in echo.stdout.splitlines()} == {"hub", "solver"}
-    nothing = rtkmesh("echo", "p/sol", "--timeout", "0.3", *where)
+    nothing = rtkmesh("echo", "p/sol", "--timeout", "2", *where)
     assert (nothing.returncode, nothing.stdout) == (124, "")
 
 

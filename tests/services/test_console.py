@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.patience import PATIENCE_S
 from tests.services.told_solver import SITE, Solver, Told
 
 from rtkmesh_schemas.keys import Role
@@ -24,7 +25,6 @@ from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.service import Context
 
-WAIT_S = 20.0
 # The pty is made the controlling terminal, so that Ctrl-C is a signal.
 _ON_TERMINAL = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from rtkmesh_services.cli.main import main; main()"
 
@@ -253,7 +253,7 @@ class Terminal:
 
     def expect(self, mark: str) -> str:
         """Return what the screen gets up to the mark."""
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while mark not in self.screen:
             assert time.monotonic() < deadline_s, f"no {mark!r}: {self.screen!r}"
             self.screen += os.read(self._ours, 65536).decode(errors="replace")
@@ -306,7 +306,7 @@ def test_a_terminal_with_completion_cycles_and_history(site: Any, solver: Solver
     first.expect("(FIX  )")
     first.expect("rtk> ")
     first.type("\x04")
-    assert first.process.wait(WAIT_S) == 0
+    assert first.process.wait(PATIENCE_S) == 0
     history = tmp_path / "state" / "console_history"
     assert history.read_text().splitlines()[-1] == "so"
     assert "hunter2" not in history.read_text()
@@ -316,7 +316,7 @@ def test_a_terminal_with_completion_cycles_and_history(site: Any, solver: Solver
     second.type("\x1b[A\r")
     second.expect("(FIX  )")
     second.type("exit\r")
-    assert second.process.wait(WAIT_S) == 0
+    assert second.process.wait(PATIENCE_S) == 0
 
 
 @pytest.mark.e2e
@@ -333,6 +333,6 @@ def test_a_script_by_pipe(site: Any, solver: Solver):
     assert rows.returncode == 0
     assert [sorted(json.loads(line))[:1] for line in rows.stdout.splitlines()] == [["code"], ["config"]]
     gone = subprocess.run(
-        [*command[:4], "gone", "--timeout", "0.3", *command[5:]], input="", capture_output=True, text=True, check=False, timeout=60
+        [*command[:4], "gone", "--timeout", "2", *command[5:]], input="", capture_output=True, text=True, check=False, timeout=60
     )
     assert (gone.returncode, "no process 'gone'" in gone.stderr) == (3, True)

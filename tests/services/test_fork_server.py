@@ -41,14 +41,11 @@ class Server:
 
     def __init__(self) -> None:
         self.server, self.selector = ForkServer((Role.ATTITUDE,), ENVIRONMENT), selectors.DefaultSelector()
-        self.ahead_s = 0.0
+        self.now_s = 0.0
         self.lines: list[OutputLine] = []
 
     def tend(self) -> None:
-        self.server.tend(self.now_s(), self.selector)
-
-    def now_s(self) -> float:
-        return time.monotonic() + self.ahead_s
+        self.server.tend(self.now_s, self.selector)
 
     def ready(self) -> None:
         """Wait until it forks."""
@@ -56,7 +53,7 @@ class Server:
         until(lambda: bool(self.server.ready), step=lambda: self.selector.select(0.1) and self.server.read())
 
     def held(self) -> frozenset[Role]:
-        return self.server.held(self.now_s())
+        return self.server.held(self.now_s)
 
     def child(self, spec: ProcessSpec) -> Child:
         return Child(spec, self.lines.append, lambda spec: self.server.start(spec) or start_program(spec))
@@ -76,7 +73,7 @@ def server() -> Iterator[Server]:
     assert not children(), "nothing is left"
 
 
-def until(what: Callable[[], bool], *, step: Callable[[], object], timeout_s: float = 20.0) -> None:
+def until(what: Callable[[], bool], *, step: Callable[[], object], timeout_s: float = 60.0) -> None:
     deadline_s = time.monotonic() + timeout_s
     while not what():
         assert time.monotonic() < deadline_s
@@ -146,7 +143,7 @@ def test_processes_are_held_until_it_is_ready_but_not_for_ever(server: Server) -
     """A first start that compiles must not keep the fleet waiting."""
     server.tend()
     assert server.held() == {Role.ATTITUDE}
-    server.ahead_s = PATIENCE_S + 0.1
+    server.now_s = PATIENCE_S + 0.1
     assert not server.held()
 
 
@@ -158,7 +155,7 @@ def test_without_it_programs_are_started_and_later_it_is_back(server: Server) ->
     server.tend()
     assert not server.held()
     assert not children(), "not at once again"
-    server.ahead_s = RETRY_S + 0.1
+    server.now_s = RETRY_S + 0.1
     server.ready()
     assert server.pid()
     assert ended(server.child(KEYS)) == 0

@@ -6,6 +6,7 @@ import time
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.patience import PATIENCE_S
 
 from rtkmesh_services.runtime.inbox import Inbox
 
@@ -71,16 +72,21 @@ def test_get_waits_for_a_put_of_another_thread():
     """The work loop sleeps until something comes."""
     inbox = Inbox()
     threading.Timer(0.05, inbox.put, ["late"]).start()
-    assert inbox.get(5.0) == "late"
+    assert inbox.get(PATIENCE_S) == "late"
 
 
-def test_wake_ends_a_wait():
-    """A signal does not wait for the next epoch."""
-    inbox = Inbox()
-    threading.Timer(0.05, inbox.wake).start()
-    began = time.monotonic()
-    assert inbox.get(5.0) is None
-    assert time.monotonic() - began < 2.0
+@pytest.mark.parametrize("before_s", [0.0, 0.05])
+def test_wake_ends_a_wait(before_s: float):
+    """A signal does not wait for the next epoch, also when it comes just before the wait; it ends one wait only."""
+    inbox, began = Inbox(), time.monotonic()
+    if before_s:
+        threading.Timer(before_s, inbox.wake).start()
+    else:
+        inbox.wake()
+    assert inbox.get(PATIENCE_S) is None
+    assert time.monotonic() - began < PATIENCE_S / 2.0
+    threading.Timer(0.05, inbox.put, ["later"]).start()
+    assert inbox.get(PATIENCE_S) == "later"
 
 
 def test_put_wait_paces_a_reader():
@@ -88,10 +94,10 @@ def test_put_wait_paces_a_reader():
     inbox = Inbox()
     inbox.lane("replay", capacity=2)
     sent: list[bool] = []
-    reader = threading.Thread(target=lambda: sent.extend(inbox.put_wait(n, lane="replay", timeout_s=5.0) for n in range(50)))
+    reader = threading.Thread(target=lambda: sent.extend(inbox.put_wait(n, lane="replay", timeout_s=PATIENCE_S) for n in range(50)))
     reader.start()
-    got = [inbox.get(5.0) for _ in range(50)]
-    reader.join(5.0)
+    got = [inbox.get(PATIENCE_S) for _ in range(50)]
+    reader.join(PATIENCE_S)
     assert got == list(range(50))
     assert all(sent)
     assert inbox.dropped() == {}
@@ -104,7 +110,7 @@ def test_put_wait_gives_up_in_time_and_at_the_end():
     assert inbox.put_wait(1, lane="replay", timeout_s=0.0)
     assert not inbox.put_wait(2, lane="replay", timeout_s=0.01)
     assert inbox.close() == [1]
-    assert not inbox.put_wait(3, lane="replay", timeout_s=5.0)
+    assert not inbox.put_wait(3, lane="replay", timeout_s=PATIENCE_S)
 
 
 def test_closed_takes_nothing():
@@ -112,7 +118,7 @@ def test_closed_takes_nothing():
     inbox = Inbox()
     inbox.close()
     inbox.put(1)
-    assert inbox.get(5.0) is None
+    assert inbox.get(PATIENCE_S) is None
 
 
 def test_a_lane_is_declared_once():
@@ -129,7 +135,7 @@ def test_many_producers_lose_nothing_below_the_bound():
     threads = [threading.Thread(target=lambda t=t: [inbox.put((t, n)) for n in range(500)]) for t in range(8)]
     for thread in threads:
         thread.start()
-    got = [inbox.get(5.0) for _ in range(4000)]
+    got = [inbox.get(PATIENCE_S) for _ in range(4000)]
     for thread in threads:
         thread.join()
     for number in range(8):

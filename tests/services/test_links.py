@@ -8,11 +8,11 @@ import tty
 from collections.abc import Iterator
 
 import pytest
+from tests.patience import PATIENCE_S
 
+from rtkmesh_services.control.endpoints import free_port
 from rtkmesh_services.ingest.links import Chunk, Link, LinkReport, LinkState
 from rtkmesh_services.ingest.urls import parse_source
-
-WAIT_S = 5.0
 
 
 class Sink:
@@ -27,13 +27,13 @@ class Sink:
 
     def until_data(self, expected: bytes) -> None:
         while not self.data.endswith(expected):
-            item = self.items.get(timeout=WAIT_S)
+            item = self.items.get(timeout=PATIENCE_S)
             if isinstance(item, Chunk):
                 self.data += item.data
 
     def until_state(self, state: LinkState) -> str:
         while True:
-            item = self.items.get(timeout=WAIT_S)
+            item = self.items.get(timeout=PATIENCE_S)
             if isinstance(item, LinkReport) and item.state is state:
                 return item.detail
 
@@ -55,7 +55,7 @@ def start(links: list[Link], url: str) -> Sink:
 
 def test_tcp_comes_back_after_each_of_many_drops(links: list[Link]) -> None:
     server = socket.create_server(("127.0.0.1", 0))
-    server.settimeout(WAIT_S)
+    server.settimeout(PATIENCE_S)
     sink = start(links, f"tcp://127.0.0.1:{server.getsockname()[1]}")
     for number in range(5):
         connection, _ = server.accept()
@@ -70,7 +70,7 @@ def test_an_absent_server_is_named_and_waited_for(links: list[Link]) -> None:
     sink = start(links, f"tcp://127.0.0.1:{port}")
     assert "refused" in sink.until_state(LinkState.ERROR).lower()
     with socket.create_server(("127.0.0.1", port)) as server:
-        server.settimeout(WAIT_S)
+        server.settimeout(PATIENCE_S)
         connection, _ = server.accept()
         connection.sendall(b"here")
         sink.until_data(b"here")
@@ -79,14 +79,14 @@ def test_an_absent_server_is_named_and_waited_for(links: list[Link]) -> None:
 
 def test_a_silent_server_is_left_for_a_new_connection(links: list[Link]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(WAIT_S)
-        sink = start(links, f"tcp://127.0.0.1:{server.getsockname()[1]}?timeout=0.3")
+        server.settimeout(PATIENCE_S)
+        sink = start(links, f"tcp://127.0.0.1:{server.getsockname()[1]}?timeout=1")
         silent, _ = server.accept()
         again, _ = server.accept()
         again.sendall(b"news")
         said: list[Chunk | LinkReport] = []
         while not (said and isinstance(said[-1], Chunk)):
-            said.append(sink.items.get(timeout=WAIT_S))
+            said.append(sink.items.get(timeout=PATIENCE_S))
         assert not [item for item in said if isinstance(item, LinkReport) and item.state is LinkState.ERROR], "silence is no fault"
         for connection in (silent, again):
             connection.close()
@@ -141,17 +141,11 @@ def test_nothing_is_written_while_nothing_is_connected(links: list[Link]) -> Non
     assert not links[-1].write(b"lost")
 
 
-def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def connect(port: int) -> socket.socket:
     """Connect to a server that is about to listen (the link's thread reports before it does)."""
     for _ in range(200):
         try:
-            return socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
+            return socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
         except ConnectionRefusedError:
             continue
     raise AssertionError("nobody listens")

@@ -12,8 +12,9 @@ from math import hypot
 from pathlib import Path
 
 import pytest
+from tests.patience import PATIENCE_S, all_but_a_few
 from tests.services.scripted_caster import ScriptedCaster
-from tests.services.text_world import TOW_S, WAIT_S, TextWorld, lines, none, received, satellites, solution
+from tests.services.text_world import TOW_S, TextWorld, lines, none, received, satellites, solution
 
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.config import OutputTable, SolverTable
@@ -21,6 +22,7 @@ from rtkmesh_schemas.keys import EVENT, SAT, SOL, WRITE
 from rtkmesh_services.ntrip.address import CasterAddress
 from rtkmesh_services.ntrip.connection import fetch_table
 from rtkmesh_services.ntrip.protocol import AnswerReader
+from rtkmesh_services.output.outlets import SEND_S, SocketOutlet
 from rtkmesh_services.output.text_feed import HOLD_NS, TextFeed, about
 from rtkmesh_services.runtime.clock import ManualClock
 from rtkmesh_services.runtime.time_tags import parse_tag
@@ -33,10 +35,10 @@ def table(target: str, **options: object) -> OutputTable:
 
 
 def client(port: int) -> socket.socket:
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + PATIENCE_S
     while True:
         try:
-            return socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
+            return socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
         except ConnectionRefusedError:
             assert time.monotonic() < deadline_s
             time.sleep(0.005)
@@ -45,7 +47,7 @@ def client(port: int) -> socket.socket:
 @pytest.fixture
 def server() -> Iterator[socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(WAIT_S)
+        server.settimeout(PATIENCE_S)
         yield server
 
 
@@ -259,24 +261,24 @@ def test_a_client_that_does_not_read_harms_nobody(free_port: Callable[[], int]) 
     with TextWorld(out=table(f"tcp-listen://127.0.0.1:{port}", format="json")) as world:
         stuck = socket.socket()
         stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        stuck.settimeout(WAIT_S)
+        stuck.settimeout(PATIENCE_S)
         client(port).close()  # it listens
         stuck.connect(("127.0.0.1", port))
         with stuck, client(port) as quick:
             names = {f"client 127.0.0.1:{one.getsockname()[1]}" for one in (stuck, quick)}
             world.until(lambda: {row.name for row in world.status().inputs} >= names)
-            got, worst_s, number = b"", 0.0, 0
+            got, took_s, number = b"", list[float](), 0
             while not world.status().counters["lines_lost"]:
                 begun_s = time.monotonic()
                 world.solve(solution(number))
-                worst_s = max(worst_s, time.monotonic() - begun_s)
+                took_s.append(time.monotonic() - begun_s)
                 got += quick.recv(65536)
                 number += 1
                 assert number < 20000
             while got.count(b"\n") < number:
                 got += quick.recv(65536)
             assert got.count(b'"sequence":') == number
-            assert worst_s < 0.5
+            assert all_but_a_few(took_s) < 0.1
             world.until(lambda: "too slow" in world.status().reason)
             assert world.events().count("output_slow") == 1
             row = next(row for row in world.status().inputs if row.dropped and row.name.startswith("client"))
@@ -311,7 +313,7 @@ def test_a_server_that_is_away_is_told_once_and_found_again(free_port: Callable[
         assert "refused" in world.status().reason
         world.solve(*FIXES[:3])
         with socket.create_server(("127.0.0.1", port)) as server:
-            server.settimeout(WAIT_S)
+            server.settimeout(PATIENCE_S)
             connection, _ = server.accept()
             with connection:
                 text = received(connection.recv, lambda data: len(lines(data)) == 3 and data.endswith(b"\n"))
@@ -328,7 +330,7 @@ def test_a_server_that_is_away_is_told_once_and_found_again(free_port: Callable[
 def test_what_waits_too_long_is_dropped_and_counted(free_port: Callable[[], int]) -> None:
     with TextWorld(out=table(f"tcp://127.0.0.1:{free_port()}", maximum_delay_s=0.1)) as world:
         world.solve(*FIXES[:5])
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while world.status().counters["lines_lost"] < 5:
             assert time.monotonic() < deadline_s
             world.solve(solution(5, status=0))  # nothing to write
@@ -339,19 +341,29 @@ def test_a_server_that_does_not_read_makes_nobody_wait(server: socket.socket) ->
     server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     with TextWorld(out=table(f"tcp://127.0.0.1:{server.getsockname()[1]}", format="json")) as world:
         connection, _ = server.accept()
-        number = 0
+        took_s = list[float]()
         while not world.status().counters["lines_lost"]:
             begun_s = time.monotonic()
-            world.solve(solution(number))
-            assert time.monotonic() - begun_s < 0.5
-            number += 1
-            assert number < 20000
+            world.solve(solution(len(took_s)))
+            took_s.append(time.monotonic() - begun_s)
+            assert len(took_s) < 20000
+        assert all_but_a_few(took_s) < 0.1
         world.until(lambda: world.status().state.value == "DEGRADED")
         begun_s = time.monotonic()
         world.close()
-        assert time.monotonic() - begun_s < 1.0
+        assert time.monotonic() - begun_s < SEND_S / 2.0
         world.lives.clear()
         connection.close()
+
+
+def test_an_end_that_comes_while_we_look_at_the_connection_is_the_end_of_it(server: socket.socket) -> None:
+    """The work loop closes what a slow thread still has: an error of the connection, not of the program."""
+    outlet = SocketOutlet(client(server.getsockname()[1]), "there")
+    with server.accept()[0]:
+        outlet.check()
+        outlet.close()
+        with pytest.raises(OSError, match="closed by us"):
+            outlet.check()
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.255.255.255"])
@@ -359,7 +371,7 @@ def test_datagrams_carry_an_epoch_each(host: str) -> None:
     """Also as a broadcast; nobody has to listen, and there is no header."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind((host, 0))
-        listener.settimeout(WAIT_S)
+        listener.settimeout(PATIENCE_S)
         with TextWorld(out=table(f"udp://{host}:{listener.getsockname()[1]}", format="xyz")) as world:
             world.solve(*FIXES[:3])
             texts = [listener.recv(65536) for _ in range(3)]

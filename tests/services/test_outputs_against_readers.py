@@ -6,20 +6,20 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import pynmeagps
 import pytest
+from tests.patience import PATIENCE_S
 from tests.services.text_world import HEIGHT_M, LAT_DEG, LON_DEG, TOW_S, WEEK, TextWorld, ecef_m, satellites, solution
 
 from rtkmesh_schemas.config import OutputTable
 from rtkmesh_services.runtime.clock import ManualClock
 from rtkmesh_services.texts.geoid import geoid_height_m
 
-WAIT_S = 20.0
 COUNT = 20
 STATUS = [1, 2, 4, 5]
 TRACK = [solution(number, status=STATUS[number % 4]) for number in range(COUNT)]
@@ -116,11 +116,11 @@ def test_str2str_relays_equal_bytes_from_our_servers(
         "tcp": table(f"tcp-listen://127.0.0.1:{tcp}", **options),
         "caster": table(f"ntrip-caster://127.0.0.1:{ntrip}/POS", users={"me": "pw"}, **options),
     }
-    with (
-        TextWorld(ManualClock(), **outs) as world,  # no epoch waits too long for its satellites, in one output and not in another
-        running(str2str, "-in", f"tcpcli://127.0.0.1:{tcp}", "-out", f"file://{tmp_path}/tcp"),
-        running(str2str, "-in", f"ntrip://me:pw@127.0.0.1:{ntrip}/POS", "-out", f"file://{tmp_path}/ntrip"),
-    ):
+    with ExitStack() as stack:  # by the clock of the test no epoch waits too long for its satellites, in one output and not in another
+        world = stack.enter_context(TextWorld(ManualClock(), **outs))
+        world.until(lambda: all(world.status(name).inputs[1].state == "listening" for name in ("tcp", "caster")))  # str2str asks every 10 s
+        stack.enter_context(running(str2str, "-in", f"tcpcli://127.0.0.1:{tcp}", "-out", f"file://{tmp_path}/tcp"))
+        stack.enter_context(running(str2str, "-in", f"ntrip://me:pw@127.0.0.1:{ntrip}/POS", "-out", f"file://{tmp_path}/ntrip"))
         world.until(lambda: len(world.status("tcp").inputs) == 3 and len(world.status("caster").inputs) == 3)
         for number, one in enumerate(TRACK):
             world.solve(one)
@@ -160,10 +160,10 @@ def test_gpsd_reads_our_tcp_server(free_port: Callable[[], int]) -> None:
     if gpsd is None:
         pytest.skip("no gpsd (Debian package gpsd)")
     ours, theirs = free_port(), free_port()
-    with (
-        TextWorld(out=table(f"tcp-listen://127.0.0.1:{ours}", format="nmea")) as world,
-        running(gpsd, "-N", "-n", "-b", "-S", str(theirs), f"tcp://127.0.0.1:{ours}"),
-    ):
+    with ExitStack() as stack:
+        world = stack.enter_context(TextWorld(out=table(f"tcp-listen://127.0.0.1:{ours}", format="nmea")))
+        world.until(lambda: world.status().inputs[1].state == "listening")
+        stack.enter_context(running(gpsd, "-N", "-n", "-b", "-S", str(theirs), f"tcp://127.0.0.1:{ours}"))
         world.until(lambda: len(world.status().inputs) == 3)
         with watching(theirs) as reports:
             fixes: list[dict[str, Any]] = []
@@ -184,10 +184,10 @@ def test_gpsd_reads_our_tcp_server(free_port: Callable[[], int]) -> None:
 @contextmanager
 def watching(port: int) -> Iterator[Callable[[], list[dict[str, Any]]]]:
     """A client of gpsd: a function that returns its reports since the last call."""
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + PATIENCE_S
     while True:
         try:
-            connection = socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
+            connection = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
             break
         except ConnectionRefusedError:
             assert time.monotonic() < deadline_s

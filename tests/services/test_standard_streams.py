@@ -40,5 +40,5 @@ def test_bytes_go_in_by_a_pipe_and_frames_come_out_of_one(site: Fleet, tmp_path:
         finally:
             for process in (ingest, output):
                 process.terminate()
-                process.wait(10.0)
+                process.wait(60.0)
     assert copy_to.read_bytes() == b"".join(FRAMES)

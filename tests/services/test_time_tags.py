@@ -1,7 +1,6 @@
 """Recordings with the instants of arrival: ours and RTKLIB's, in both directions, played as they came; files that are swapped."""
 
 import itertools
-import queue
 import socket
 import struct
 import subprocess
@@ -14,6 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.patience import PATIENCE_S
 
 from rtkmesh.codecs.messages import Frame
 from rtkmesh.codecs.rtcm3_encode import frame
@@ -29,7 +29,7 @@ from rtkmesh_services.output.files import FileSink
 from rtkmesh_services.output.sender import Header
 from rtkmesh_services.output.targets import parse_target
 from rtkmesh_services.recorder.service import RecorderService
-from rtkmesh_services.runtime.clock import Clock, ManualClock
+from rtkmesh_services.runtime.clock import ManualClock
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.path_keywords import expanded, swap_number
@@ -91,28 +91,32 @@ def test_a_replay_keeps_the_pace_of_the_arrival(tmp_path: Path) -> None:
     recorder.record(FRAMES, 0.5)
     recorder.close()
     [log] = tmp_path.glob("*.rtcm3")
-    recording, played = open_recording(log, timed=True), queue.Queue[tuple[float, object]]()
+    recording, played, clock = open_recording(log, timed=True), list[tuple[float, object]](), ManualClock()
+
+    class Passing(threading.Event):
+        """Time that passes while one waits."""
+
+        def wait(self, timeout: float | None = None) -> bool:
+            clock.advance(timeout or 0.0)
+            return False
 
     def put(item: object) -> bool:
-        played.put((time.monotonic(), item))
+        played.append((clock.mono_ns() * 1e-9, item))
         return True
 
-    clock = Clock()
-    Replay(recording, Pace(clock, 10.0, open_recording(log, timed=True).begin()), CreditGate([]), clock, put, 0).run(threading.Event())
-    items = [played.get_nowait() for _ in range(played.qsize())]
-    frames = [(at_s, item.item) for at_s, item in items if isinstance(item, Played) and isinstance(item.item, Frame)]
+    Replay(recording, Pace(clock, 10.0, open_recording(log, timed=True).begin()), CreditGate([]), clock, put, 0).run(Passing())
+    frames = [(at_s, item.item) for at_s, item in played if isinstance(item, Played) and isinstance(item.item, Frame)]
     assert [one.data for _, one in frames] == FRAMES
-    assert isinstance(items[-1][1], Ended)
+    assert isinstance(played[-1][1], Ended)
     apart_s = [b[0] - a[0] for a, b in itertools.pairwise(frames)]
-    assert frames[-1][0] - frames[1][0] == pytest.approx(0.4, abs=0.15)
-    assert min(apart_s) > 0.01
+    assert apart_s == pytest.approx([0.05] * 9, abs=1e-3)
 
 
 @pytest.mark.rtklib
 def test_str2strs_tags_are_read(rtklib_program: Callable[[str], str], tmp_path: Path) -> None:
     log = tmp_path / "log.rtcm3"
     with socket.create_server(("127.0.0.1", 0)) as feeder:
-        feeder.settimeout(10.0)
+        feeder.settimeout(PATIENCE_S)
         source = f"tcpcli://127.0.0.1:{feeder.getsockname()[1]}"
         command = [rtklib_program("str2str"), "-in", source, "-out", f"file://{log}::T"]
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -133,7 +137,7 @@ def test_str2strs_tags_are_read(rtklib_program: Callable[[str], str], tmp_path: 
 
 
 def wait_for_size(path: Path, size: int) -> None:
-    deadline_s = time.monotonic() + 10.0
+    deadline_s = time.monotonic() + PATIENCE_S
     while not path.exists() or path.stat().st_size < size:
         assert time.monotonic() < deadline_s
         time.sleep(0.005)  # the other program writes when it likes
@@ -155,7 +159,7 @@ def test_our_tags_are_read_by_str2str(rtklib_program: Callable[[str], str], tmp_
     process.kill()
     process.wait()
     assert copy.read_bytes() == b"".join(FRAMES)
-    assert 1.5 < took_s < 6.0
+    assert 1.5 < took_s < 12.0, "not at its own pace, which takes 18 s"
 
 
 def test_large_offsets_are_recognized() -> None:

@@ -6,6 +6,8 @@ from contextlib import suppress
 from math import cos, nan, radians, sin
 from typing import Any
 
+from tests.patience import PATIENCE_S, SteadyClock
+
 from rtkmesh_schemas.config import Deployment, IngestTable, OutputTable, SolverTable
 from rtkmesh_schemas.keys import EVENT, SAT, SOL, STATUS, Role
 from rtkmesh_schemas.solution import SatellitesMessage, SolutionMessage
@@ -17,7 +19,6 @@ from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.memory_bus import MemoryBus, MemoryNetwork
 from rtkmesh_services.runtime.service import Context
 
-WAIT_S = 10.0
 WEEK, TOW_S = 2390, 345600.0
 LAT_DEG, LON_DEG, HEIGHT_M = 47.4, 8.5, 480.0
 BASE_ECEF_M = (4276000.0, 639000.0, 4671900.0)
@@ -78,7 +79,7 @@ class TextWorld:
     def __init__(self, clock: Clock | None = None, source: str = "udp://127.0.0.1:1", **outputs: OutputTable) -> None:
         self.network = MemoryNetwork()
         self.solver = MemoryBus("rtk", self.network)
-        self.clock = clock or Clock()
+        self.clock = clock or SteadyClock()
         self.deployment = Deployment(
             ingest={"rover": IngestTable(source=source), "base": IngestTable(source="udp://127.0.0.1:2")},
             solver={"rtk": SolverTable(rover="rover", base="base")},
@@ -119,7 +120,7 @@ class TextWorld:
 
     def until(self, condition: Callable[[], object]) -> None:
         """Step all until the condition holds."""
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < deadline_s, "waited in vain"
             self.settle()

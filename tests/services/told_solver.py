@@ -3,6 +3,7 @@
 import threading
 from typing import Any, ClassVar
 
+from tests.patience import PATIENCE_S
 from tests.services.old_script import SATELLITE_HEAD
 
 from rtkmesh_schemas.command import Code, Reply, Request
@@ -12,9 +13,6 @@ from rtkmesh_schemas.status import Level
 from rtkmesh_services.errors import CommandError
 from rtkmesh_services.runtime.lifecycle import Lifecycle
 from rtkmesh_services.runtime.service import Context, Service
-
-WAIT_S = 10.0
-
 
 SITE = Deployment(solver={"rtk": SolverTable(rover="rover", mode="single")})
 
@@ -65,6 +63,6 @@ class Solver:
 
     def close(self) -> None:
         self._life.end("the test is over")
-        self._thread.join(WAIT_S)
+        self._thread.join(PATIENCE_S)
         self._life.finish()
         self.bus.close()

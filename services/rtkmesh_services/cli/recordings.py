@@ -13,23 +13,25 @@ from rtkmesh_services.errors import SourceError
 from rtkmesh_services.ingest.recording import Recording, RecordingKind, open_recording
 
 
-def open_recordings(paths: list[Path], date: GpsTime | None, receiver_options: str = "") -> list[Recording]:
+def open_recordings(
+    paths: list[Path], date: GpsTime | None, receiver_options: str = "", reject: frozenset[str] = frozenset()
+) -> list[Recording]:
     """Return the opened recordings. An RTCM 3 log without ``date`` takes it from another of them, if one has it.
 
-    ``receiver_options`` are RTKLIB's, for logs of receivers; SourceError for what they do not know.
+    ``receiver_options`` are RTKLIB's, for logs of receivers; SourceError for what they do not know. Frames in ``reject`` are not decoded.
     """
     receiver = _receiver(receiver_options)
     with ExitStack() as stack:
         recordings: list[Recording] = []
         for path in paths:
-            recordings.append(open_recording(path, options=StreamOptions(approximate_time=date, receiver=receiver)))
+            recordings.append(open_recording(path, options=StreamOptions(approximate_time=date, receiver=receiver, reject=reject)))
             stack.callback(recordings[-1].close)
         undated = {recording.path for recording in recordings if recording.kind is RecordingKind.RTCM3}
         if date is None and undated:
             date = next((time for path in paths if path not in undated and (time := _first_epoch(path)) is not None), None)
             if date is None:
                 raise SourceError(f"{min(undated)}: an RTCM 3 log carries no date, and nothing else here does: say --date YYYY-MM-DD")
-            return open_recordings(paths, date, receiver_options)
+            return open_recordings(paths, date, receiver_options, reject)
         stack.pop_all()
     return recordings
 

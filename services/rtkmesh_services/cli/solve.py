@@ -1,5 +1,6 @@
 """``rtkmesh solve``: recordings in, RTKLIB's .pos format out. The engine is imported when the command runs, not for its help."""
 
+import gc
 import sys
 import tomllib
 from contextlib import AbstractContextManager, nullcontext
@@ -157,6 +158,7 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date, request.receiver_options)
     options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
     run = Run(inputs, options, SolutionType(request.direction or "forward"), causal=request.causal)
+    gc.freeze()  # what is loaded by now stays: looking through it again and again was a seventh of a short run
     try:
         with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()):
             _write(run, run.solutions(), request, output)

@@ -1,7 +1,11 @@
 """Zenoh endpoints on this host: who listens there, and what is free."""
 
 import contextlib
+import secrets
 import socket
+from typing import Final
+
+_PORTS: Final = range(20_000, 32_000)  # below those that Linux, Windows and macOS give to outgoing connections
 
 
 def accepts(endpoint: str) -> bool:
@@ -38,8 +42,10 @@ def tcp_address(endpoint: str) -> tuple[str, int] | None:
     return host.strip("[]"), int(port)
 
 
-def free_port() -> int:
-    """Return a loopback TCP port that is free now."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-        return port
+def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """Return a loopback port (TCP, or UDP by ``kind``) that is free now, and that no connection is given before its user listens."""
+    while True:
+        port = secrets.choice(_PORTS)
+        with contextlib.suppress(OSError), socket.socket(type=kind) as probe:
+            probe.bind(("127.0.0.1", port))
+            return port

@@ -13,6 +13,7 @@ from rtkmesh_services.control.records import NEVER, Action, ProcessRecord, Proce
 EXIT_UNKNOWN: Final = 256  # above all exit codes: of a process that was no child of ours
 EXIT_CONFIG: Final = 2  # a process that cannot use its configuration: starting it again changes nothing
 FIRST_HEARTBEAT_S: Final = 30.0  # imports on a loaded small computer, before the first status
+STAND_S: Final = 1.5  # the keeper asks for actions twice a second: after a longer pause it, or the machine, stood still
 LINK_GAP_S: Final = 2.5  # the bus is trusted while its reference beats at least this often (nominal: 1 s)
 
 
@@ -25,7 +26,7 @@ class Supervisor:
         self._open = False
         self._held: frozenset[Role] = frozenset()
         self._ending = False
-        self._reference_s = NEVER
+        self._reference_s = self._asked_s = NEVER
         self._linked_since_s = NEVER
 
     # -- desired state
@@ -168,6 +169,7 @@ class Supervisor:
 
     def actions(self, now_s: float) -> list[Action]:
         """Return what is to be done now. SPAWN is to be answered by ``spawned`` or ``not_spawned``."""
+        self._forgive(now_s)
         if self._ending:
             self._end_hubs(now_s)
         found: list[Action] = []
@@ -200,6 +202,16 @@ class Supervisor:
         return list(self._records)
 
     # -- inner
+
+    def _forgive(self, now_s: float) -> None:
+        """Take time in which we stood still from nobody: whoever was not heard in it, or had no time to end, begins anew."""
+        stood_s = now_s - self._asked_s if self._asked_s > NEVER else 0.0
+        self._asked_s = now_s
+        if stood_s <= STAND_S:
+            return
+        for record in self._records.values():
+            record.watched_s = now_s
+            record.stop_asked_s += stood_s
 
     def _may_start(self, record: ProcessRecord) -> bool:
         return (self._open and record.spec.role not in self._held) or record.spec.role is Role.HUB

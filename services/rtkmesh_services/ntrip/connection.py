@@ -101,8 +101,7 @@ class CasterConnection:
 
     def has_news(self) -> bool:
         """Return whether there is something to read, or the end."""
-        readable, _, _ = select.select([self._socket], [], [], 0.0)
-        return bool(readable)
+        return has_news(self._socket)
 
     def set_timeout(self, seconds: float) -> None:
         """Set how long ``read`` and ``write`` wait."""
@@ -238,3 +237,11 @@ def _tls_refusal(address: CasterAddress, error: OSError) -> SourceError:
             f"{address}: its certificate is not trusted: {error.verify_message} (another authority: ?ca=FILE)", lasting=True
         )
     return SourceError(f"{address}: no TLS: {getattr(error, 'reason', '') or error.strerror or error}")
+
+
+def has_news(connection: socket.socket) -> bool:
+    """Return whether there is something to read, or the end; OSError when another thread of ours has closed it."""
+    try:
+        return bool(select.select([connection], [], [], 0.0)[0])
+    except ValueError:  # it has no number any more
+        raise ConnectionAbortedError("closed by us") from None

@@ -1,7 +1,6 @@
 """Open ways out: a socket, a serial port, standard output, a caster's mount point; and what opens them. A sender's thread uses them."""
 
 import os
-import select
 import socket
 from contextlib import suppress
 from typing import Any, Final, Protocol
@@ -9,7 +8,7 @@ from typing import Any, Final, Protocol
 import serial
 
 from rtkmesh_services.errors import SourceError
-from rtkmesh_services.ntrip.connection import CasterConnection, open_push
+from rtkmesh_services.ntrip.connection import CasterConnection, has_news, open_push
 from rtkmesh_services.ntrip.protocol import chunk
 from rtkmesh_services.output.targets import TargetUrl
 from rtkmesh_services.runtime.backoff import CASTER, LOCAL, Backoff
@@ -70,7 +69,7 @@ class SocketOutlet:
 
     def check(self) -> None:
         """ConnectionError when the other side has closed."""
-        while select.select([self._socket], [], [], 0.0)[0]:
+        while has_news(self._socket):
             if not self._socket.recv(READ_BYTES):
                 raise ConnectionError("closed by the other side")
 

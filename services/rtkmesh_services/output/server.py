@@ -45,6 +45,7 @@ class TcpServer:
         self._gone = 0  # dropped for clients that are not there any more
         self._stopping = threading.Event()
         self.error = ""
+        self.listening = False
         self.refused = 0
         self._thread = threading.Thread(target=self._run, daemon=True, name="server")
         self._thread.start()
@@ -82,9 +83,10 @@ class TcpServer:
             try:
                 family = socket.AF_INET6 if ":" in self._address[0] else socket.AF_INET
                 with socket.create_server(self._address, family=family) as listener:
-                    self.error = ""
+                    self.error, self.listening = "", True
                     self._accept(listener)
             except OSError as error:
+                self.listening = False
                 self.error = f"tcp-listen://{self._address[0]}:{self._address[1]}: {error.strerror or error}"
                 self._stopping.wait(RETRY_S)
 

@@ -119,8 +119,10 @@ class ServerSink:
         """Return the server, then each client."""
         clients = self._server.clients()
         detail = f"{self._url}, {len(clients)} client{'s' if len(clients) != 1 else ''}"
-        state, refused = "error" if self.error else "listening", self._server.refused
-        server = InputStatus(name="server", state=state, detail=detail, messages=self._sent, dropped=self.dropped, errors=refused)
+        state = "error" if self.error else "listening" if self._server.listening else "opening"
+        server = InputStatus(
+            name="server", state=state, detail=detail, messages=self._sent, dropped=self.dropped, errors=self._server.refused
+        )
         return [server, *(self._row(client) for client in clients[:SHOWN_CLIENTS])]
 
     def close(self) -> str:

@@ -85,7 +85,7 @@ class RecorderService(Service):
                 for (name, protocol), log in self._logs.items()
             ],
             counters={f"lost_{name}": count for name, count in self._lost.items()},
-            data={"waiting_bytes": sum(log.pending for log in self._logs.values())},
+            data={"waiting_bytes": sum(log.pending for log in self._logs.values()) + self._writer.leaving_bytes},
         )
 
     def close(self) -> None:

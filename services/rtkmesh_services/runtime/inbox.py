@@ -50,6 +50,7 @@ class Inbox:
         self._filled = threading.Condition(self._lock)
         self._emptied = threading.Condition(self._lock)
         self._waiting = 0
+        self._woken = False
 
     def lane(self, name: str, *, capacity: int | None = None, urgent: bool = False, on_drop: Callable[[Any], None] | None = None) -> None:
         """Declare a lane (undeclared ones have the inbox's capacity). ``on_drop`` is told each item that had to go."""
@@ -84,10 +85,11 @@ class Inbox:
     def get(self, timeout_s: float) -> Any | None:
         """Return the next item; None when ``timeout_s`` passed without one, when woken, or when closed."""
         with self._lock:
-            if not self._size and timeout_s > 0.0 and not self._closed:
+            if not self._size and timeout_s > 0.0 and not self._closed and not self._woken:
                 self._waiting += 1
                 self._filled.wait(timeout_s)
                 self._waiting -= 1
+            self._woken = False
             if not self._size:
                 return None
             self._size -= 1
@@ -96,8 +98,9 @@ class Inbox:
             return item
 
     def wake(self) -> None:
-        """Let a waiting ``get`` return at once."""
+        """Let a waiting ``get`` return at once, or the next one: a loop may stand still between its last look and its wait."""
         with self._lock:
+            self._woken = True
             self._filled.notify_all()
 
     def close(self) -> list[Any]:

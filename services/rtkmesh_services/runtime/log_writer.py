@@ -27,7 +27,9 @@ class LogWriter:
         self._replaced: list[tuple[RawLog, RawLog]] = []  # logs that are at their end, with those that go on
         self._ended: list[RawLog] = []  # that nothing goes on from
         self._finished: list[RawLog] = []  # that have still to be brought to the disk
+        self._leaving: list[RawLog] = []  # that are replaced or ended, and not yet written out
         self._lock = threading.Lock()
+        self._writing = threading.Lock()  # not held while the disk is waited for (fsync)
         self._synced_s = 0.0
         self._refused = self._not_synced = ""
         self._end = threading.Event()
@@ -45,6 +47,7 @@ class LogWriter:
                 self._logs.discard(instead_of)
                 self.full.discard(instead_of)
                 self._replaced.append((instead_of, log))
+                self._leaving.append(instead_of)
 
     def end(self, log: RawLog) -> None:
         """Close a log that has no successor."""
@@ -52,23 +55,44 @@ class LogWriter:
             self._logs.discard(log)
             self.full.discard(log)
             self._ended.append(log)
+            self._leaving.append(log)
+
+    @property
+    def leaving_bytes(self) -> int:
+        """Bytes that wait in logs that are replaced or ended."""
+        with self._lock:
+            return sum(log.pending for log in self._leaving)
 
     def close(self, wait_s: float) -> bool:
-        """Write everything out, close all logs and end; False when the disk did not take all of it within the time."""
+        """Write everything out, close all logs and end; False when the disk did not take all of it within the time.
+
+        While the thread waits for a slow disk the caller writes: then it is the system's, and only a power cut can cost it.
+        """
+        deadline_s = time.monotonic() + wait_s
         self._end.set()
-        self._thread.join(wait_s)
+        self._thread.join(wait_s / 2.0)
+        if self._thread.is_alive() and self._writing.acquire(timeout=wait_s / 2.0):
+            self._write_last()
+            self._writing.release()
+        self._thread.join(max(0.0, deadline_s - time.monotonic()))
         return not self._thread.is_alive()
 
     def _run(self) -> None:
         while not self._end.wait(WRITE_S):
-            self._write()
+            with self._writing:
+                self._write()
             if time.monotonic() - self._synced_s >= SYNC_S - WRITE_S / 2.0:
                 self._sync()
-        self._write()
-        self.lost += sum(len(log.finish()) for log in self._logs)
-        self._finished += self._logs
-        self._logs.clear()
+        with self._writing:
+            self._write_last()
         self._sync()
+
+    def _write_last(self) -> None:
+        self._write()
+        with self._lock:
+            logs, self._logs = self._logs, set()
+        self.lost += sum(len(log.finish()) for log in logs)
+        self._finished += logs
 
     def _write(self) -> None:
         with self._lock:
@@ -79,6 +103,8 @@ class LogWriter:
             self._finished.append(log)
         self.lost += sum(len(log.finish()) for log in ended)
         self._finished += ended
+        with self._lock:
+            self._leaving = [log for log in self._leaving if log not in {*ended, *(log for log, _ in replaced)}]
         self._refused = next((fault for log in logs if (fault := self._written(log))), "")
         self.fault = self._refused or self._not_synced
 
