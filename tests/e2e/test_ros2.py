@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from rtkmesh.gnss.frames import enu_from_ecef_at, geodetic_from_ecef
+from rtkmesh_services.control.endpoints import free_port
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ROVER_ECEF_M = np.array([-4467074.3577, 2683011.9038, -3667008.2845])
