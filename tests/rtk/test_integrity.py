@@ -1,7 +1,7 @@
 """Protection levels, fix probabilities and the flag: closed forms, invariants, and what a solution says of itself."""
 
 from dataclasses import replace
-from math import exp, inf, nan, radians
+from math import exp, inf, isfinite, nan, radians
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from tests.rtk.bits import same_bits
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.integrity import Integrity
+from rtkmesh.gnss.signals import satellite_number
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.engine import Rtk
@@ -20,8 +21,10 @@ from rtkmesh.rtk.integrity import (
     HIDDEN_M,
     INFLATION,
     SATELLITE_FAULT,
+    SPARE_LEAST,
+    WRONG_FAR,
     WRONG_LEAST,
-    WRONG_MOST,
+    WRONG_NEAR,
     WRONG_UNAGREED,
     Place,
     chi2_limit,
@@ -117,14 +120,27 @@ def test_the_probability_of_wrong_integers():
     above what they show.
     """
     patch, survey = 1.0, 0.1
-    assert wrong_probability(12.0, 0.0, 0.0, patch) == pytest.approx(exp(-8.0))
-    assert wrong_probability(12.0, 0.0, 0.0, survey) == pytest.approx(exp(-12.0))
-    assert wrong_probability(12.0, 0.0, 5e3, patch) == pytest.approx(exp(-12.0 / 2.25))
+    assert wrong_probability(12.0, 0.0, SPARE_LEAST, 0.0, patch) == pytest.approx(exp(-8.0))
+    assert wrong_probability(12.0, 0.0, SPARE_LEAST, 0.0, survey) == pytest.approx(exp(-12.0))
+    assert wrong_probability(12.0, 0.0, SPARE_LEAST, 5e3, patch) == pytest.approx(exp(-12.0 / 2.25))
     for level in (patch, survey, inf):
-        assert wrong_probability(12.0, 0.0, 10e3, level) == pytest.approx(exp(-4.0))
-        assert wrong_probability(12.0, 0.0, 10.1e3, level) == wrong_probability(12.0, 0.0, 50e3, level) == pytest.approx(exp(-6.0))
-        assert wrong_probability(12.0, 6.0, 0.0, level) == WRONG_UNAGREED
-        assert (wrong_probability(500.0, 0.0, 0.0, level), wrong_probability(-inf, 0.0, 0.0, level)) == (WRONG_LEAST, WRONG_MOST)
+        assert wrong_probability(12.0, 0.0, SPARE_LEAST, 10e3, level) == pytest.approx(exp(-4.0))
+        assert (
+            wrong_probability(12.0, 0.0, SPARE_LEAST, 10.1e3, level)
+            == wrong_probability(12.0, 0.0, SPARE_LEAST, 50e3, level)
+            == pytest.approx(exp(-6.0))
+        )
+        assert wrong_probability(12.0, 6.0, SPARE_LEAST, 20e3, level) == WRONG_UNAGREED
+        assert wrong_probability(12.0, 6.0, SPARE_LEAST, 0.0, level) == wrong_probability(-inf, 0.0, SPARE_LEAST, 0.0, level) == WRONG_NEAR
+        assert wrong_probability(-inf, 0.0, SPARE_LEAST, 5e3, level) == pytest.approx(0.5 * (WRONG_NEAR + WRONG_FAR))
+        assert (
+            wrong_probability(-inf, 0.0, SPARE_LEAST, 10e3, level)
+            == wrong_probability(-inf, 0.0, SPARE_LEAST, 50e3, level)
+            == pytest.approx(WRONG_FAR)
+        )
+        assert wrong_probability(500.0, 0.0, SPARE_LEAST, 0.0, level) == WRONG_LEAST
+        assert wrong_probability(500.0, 0.0, SPARE_LEAST - 1, 0.0, level) == (WRONG_NEAR if isfinite(level) else WRONG_LEAST)
+        assert wrong_probability(500.0, 0.0, SPARE_LEAST - 1, 20e3, level) == WRONG_LEAST
 
 
 @pytest.mark.parametrize(("dof", "quantile"), [(3.0, 21.108), (10.0, 35.564), (30.0, 66.619)])
@@ -222,8 +238,11 @@ def test_a_float_has_no_fix_probability_and_levels_of_its_codes(scene: tuple[lis
 def test_a_failure_rate_hides_fixes_and_changes_nothing_else(scene: tuple[list, np.ndarray, np.ndarray]):
     """What is less sure than configured is the float solution with its levels; what is surer is the same to the last bit."""
     weak = RtkOptions(systems="C")
-    plain, strict = solved(scene, weak), solved(scene, replace(weak, ambiguity=AmbiguityOptions(failure_rate=0.006)))
-    hidden = [one.status is Status.FIX and 1.0 - one.fix_probability > 0.006 for one in plain]
+    plain = solved(scene, weak)
+    doubts = [1.0 - one.fix_probability for one in plain if one.status is Status.FIX]
+    rate = 0.5 * (min(doubts) + max(doubts))
+    strict = solved(scene, replace(weak, ambiguity=AmbiguityOptions(failure_rate=rate)))
+    hidden = [one.status is Status.FIX and 1.0 - one.fix_probability > rate for one in plain]
     assert any(hidden)
     for one, other, is_hidden in zip(plain, strict, hidden, strict=True):
         if is_hidden:
@@ -272,3 +291,22 @@ def test_a_solution_turned_into_its_local_frame_keeps_lengths_and_traces():
     assert np.trace(local.velocity_cov_m2ps2) == pytest.approx(np.trace(solution.velocity_cov_ecef_m2ps2))
     np.testing.assert_allclose(local.rotation.T @ local.acceleration_cov_m2ps4 @ local.rotation, solution.acceleration_cov_ecef_m2ps4)
     assert np.isnan(in_enu(replace(solution, position_ecef_m=np.full(3, nan))).velocity_mps).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("left", "status", "sure"), [
+    (("G01", "G17", "G26", "G30", "G31"), Status.FIX, True),
+    (("G01", "G17", "G26", "E02", "E19"), Status.FIX, False),
+    (("G01", "G17", "G26", "G31"), Status.FLOAT, False),
+])  # fmt: skip
+def test_what_few_satellites_leave_of_a_sure_fix(
+    scene: tuple[list, np.ndarray, np.ndarray], left: tuple[str, ...], status: Status, sure: bool
+):
+    """A house hides all others: of five one could object, of three beyond one per system none could, of four there is no fix."""
+    kept = [satellite_number(name) for name in left]
+    pairs = [(r.take(np.isin(r.satellite, kept)) if k >= 6 else r, b) for k, (r, b) in enumerate(scene[0])]
+    before, last = solved((pairs, *scene[1:]), RtkOptions(systems="GE"))[5::2]
+    assert (before.status, last.status) == (Status.FIX, status)
+    assert before.fix_probability > 0.99
+    if status is Status.FIX:
+        assert (last.fix_probability > 1.0 - WRONG_NEAR) == sure

@@ -29,6 +29,17 @@ def test_the_factor_of_fixes_has_bounds():
         assert published.fix_factor(scale) == bound
 
 
+@pytest.mark.parametrize(
+    ("level", "satellites", "limit_m"),
+    [(1.0, 5, np.inf), (np.inf, 5, np.inf), (2.0, 5, published.VAGUE_M), (9.0, 6, published.VAGUE_M), (9.0, 7, np.inf)],
+)
+def test_a_vague_fix_of_few_satellites_is_none_where_codes_tell_of_reflections(level, satellites, limit_m):
+    """By its sigma in 3D as published; not where codes are those of the open, or nothing is known of them."""
+    for sigma_m in (0.05, 0.99 * published.VAGUE_M, 1.01 * published.VAGUE_M, 1.0):
+        cov_m2 = np.diag([0.2, 0.3, 0.5]) * sigma_m**2
+        assert published.is_vague(cov_m2, level, satellites) == (sigma_m > limit_m)
+
+
 def test_a_far_fix_is_less_sure_of_its_height_and_of_nothing_else():
     """By 0.65 mm per km, in the direction that is up at the rover."""
     base_ecef_m, rng = np.array([3.9e6, 3.0e5, 5.0e6]), np.random.default_rng(6)

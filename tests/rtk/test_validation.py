@@ -1,17 +1,19 @@
-"""Which fixes are shown: those that stay where the last fix and the motion since put the rover."""
+"""Which fixes are shown: those that stay where the last fix and the motion since put the rover, of satellites that could object."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.rtk.ambiguity import Candidates, Search
 from rtkmesh.rtk.asked_odds import STREET_CODES
 from rtkmesh.rtk.joining import join
 from rtkmesh.rtk.memory import DOUBTS, FIX_SIGMA, HELD_SINCE_S, SHOWN, new_memory, resolve_setup
 from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.predicted import PREDICTION_FLOOR_M, WEAK_M, carry, departure
-from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, Filter
+from rtkmesh.rtk.redundancy import LEAST_SATELLITES, count_satellites
+from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, HISTORY, INTEGER, Filter
 from rtkmesh.rtk.validation import FIX_OK, FIX_SIGMA_M, JOIN_FIT_STREET, NOT_VALID, STREET_SIGMA_M, TOO_UNCERTAIN, fix
 
 WAVELENGTH_M = 0.19
@@ -22,23 +24,29 @@ INTEGERS = np.array([3.0, -7.0, 12.0, 0.0, 5.0])
 SKY = ((10.0, 70.0), (80.0, 35.0), (160.0, 40.0), (230.0, 30.0), (310.0, 45.0))
 
 
-def directions():
-    azimuth, elevation = np.radians(np.array(SKY)).T
+# Four more, of another system.
+OTHER_SKY = ((45.0, 50.0), (120.0, 25.0), (200.0, 65.0), (275.0, 40.0))
+OTHER_INTEGERS = np.array([-2.0, 8.0, 1.0, -11.0])
+
+
+def directions(sky=SKY):
+    azimuth, elevation = np.radians(np.array(sky)).T
     return np.column_stack([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
 
 
-def floating(held, phase_sigma_m=PHASE_SIGMA_M):
+def floating(held, phase_sigma_m=PHASE_SIGMA_M, sky=SKY, integers=INTEGERS, satellites=None):
     """A filter after an epoch: a position known to a metre, ambiguities by the phases at that position; these integers are held."""
-    n, spread = len(INTEGERS), np.zeros((DYNAMIC + len(INTEGERS), 3))
-    spread[:3], spread[DYNAMIC:] = np.eye(3), directions() / WAVELENGTH_M
+    n, spread = len(integers), np.zeros((DYNAMIC + len(integers), 3))
+    spread[:3], spread[DYNAMIC:] = np.eye(3), directions(sky) / WAVELENGTH_M
     P = spread @ spread.T
     P[3:DYNAMIC, 3:DYNAMIC] = np.eye(6)
     P[DYNAMIC:, DYNAMIC:] += (phase_sigma_m / WAVELENGTH_M) ** 2 * np.eye(n)
     error_m = np.array([0.4, -0.3, 0.5])
-    x = np.concatenate([TRUE_M + error_m, np.zeros(6), INTEGERS + directions() @ error_m / WAVELENGTH_M])
+    x = np.concatenate([TRUE_M + error_m, np.zeros(6), integers + directions(sky) @ error_m / WAVELENGTH_M])
     history = np.zeros((n, HISTORY))
     history[:, INTEGER] = held
-    return Filter(x, P, FIRST_PAIR_KEY + np.arange(n), history)
+    numbers = np.arange(n) + 1 if satellites is None else satellites
+    return Filter(x, P, numbers * KEYS_PER_SATELLITE + np.arange(n), history)
 
 
 def fixed(held, prediction, level=1.0, last_sigma_m=0.0, phase_sigma_m=PHASE_SIGMA_M):
@@ -143,6 +151,49 @@ def test_a_reflected_phase_does_not_join_in_streets(off_cyc, fit, joins):
     n = len(INTEGERS)
     candidates = Candidates(np.arange(n), np.zeros(n, np.int64), np.arange(n) + 1, np.arange(n) + 1.0)
     pairs = np.array([[k + DYNAMIC, n - 1 + DYNAMIC] for k in (0, 1, 3)])
-    join(f, f, candidates, pairs, fit)
+    join(f, f, candidates, pairs, fit, True)
     assert (f.history[2, INTEGER] == INTEGERS[2]) == joins
     assert np.isnan(f.history[2, INTEGER]) != joins
+
+
+@pytest.mark.parametrize(("off_cyc", "groups", "joins"), [(0.0, True, True), (0.0, False, False), (0.4, True, False)])
+def test_a_system_of_which_nothing_is_held_joins(off_cyc, groups, joins):
+    """Five satellites of one clock group are held; four of another have integers against each other, if these are integers."""
+    n, other = len(INTEGERS), len(OTHER_INTEGERS)
+    held, group = np.concatenate([INTEGERS, np.full(other, np.nan)]), np.repeat([0, 1], [n, other])
+    f = floating(held, 0.005, SKY + OTHER_SKY, np.concatenate([INTEGERS, OTHER_INTEGERS + 0.3]))
+    f.x[DYNAMIC + n] += off_cyc
+    f.history[:, ARC_EPOCHS] = 5.0
+    candidates = Candidates(np.arange(n + other), group, np.arange(n + other) + 1, np.arange(n + other) + 1.0)
+    pairs = np.array([[k + DYNAMIC, n - 1 + DYNAMIC] for k in range(n - 1)])
+    join(f, f, candidates, pairs, JOIN_FIT_STREET, groups)
+    found = f.history[n:, INTEGER]
+    assert np.isfinite(found).all() == joins
+    assert np.array_equal(found - found[-1], OTHER_INTEGERS - OTHER_INTEGERS[-1]) == joins
+
+
+@pytest.mark.parametrize(("count", "length_m", "reason"), [(5, None, FIX_OK), (4, None, NOT_VALID), (4, 130.0, FIX_OK)])
+def test_four_satellites_are_not_shown(count, length_m, reason):
+    """On two bands they have six double differences and nothing that could object; with a known length of the baseline they have one."""
+    sky, integers, satellites = SKY[:count] * 2, np.tile(INTEGERS[:count], 2), np.tile(np.arange(count) + 1, 2)
+    order = np.argsort(satellites, kind="stable")
+    sky, integers, satellites = tuple(sky[k] for k in order), integers[order], satellites[order]
+    f, memory, n = floating(integers, 0.005, sky, integers, satellites), new_memory(), len(integers)
+    memory[SHOWN], memory[HELD_SINCE_S] = 1.0, 0.0
+    candidates = Candidates(np.arange(n), np.tile([0, 1], count), satellites, np.arange(n) + 1.0)
+    free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, -np.inf, False)
+    prediction = predicted(TRUE_M)
+    shown = fix(f, candidates, free, memory, resolve_setup(AmbiguityOptions(), length_m, 0.01), prediction, 1.0, 1.0)
+    assert shown.reason == reason
+    assert np.linalg.norm(prediction[:3] - TRUE_M) < 0.02
+
+
+@given(st.lists(st.tuples(st.integers(1, 12), st.integers(0, 2)), min_size=2, max_size=20, unique=True), st.randoms())
+def test_satellites_are_counted_once(keys, random):
+    """Whatever their bands, and whether they are references."""
+    keys.sort()
+    n = len(keys)
+    f = Filter(np.zeros(DYNAMIC + n), np.zeros((0, 0)), np.array([s * KEYS_PER_SATELLITE + b for s, b in keys]), np.zeros((n, HISTORY)))
+    pairs = np.array([random.sample(range(n), 2) for _ in range(random.randint(1, n))])
+    assert count_satellites(f, pairs + DYNAMIC) == len({keys[k][0] for k in pairs.ravel()})
+    assert LEAST_SATELLITES == 5

@@ -1,6 +1,6 @@
 """Which integers are believed when none are held: from one clear search, from a subset, or from searches that keep agreeing."""
 
-from math import log, sqrt
+from math import isfinite, log, sqrt
 from typing import Final
 
 import numpy as np
@@ -26,6 +26,7 @@ from rtkmesh.rtk.memory import (
     ResolveSetup,
     release,
 )
+from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.state import ARC_S, DYNAMIC, INTEGER, SLOPE_KEY, STREAK, Filter, place_of
 from rtkmesh.rtk.witness import LEAST, others_of
 
@@ -95,6 +96,8 @@ def try_new(
     likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty + space
     strong = not few and _strong(best, penalty + space, setup, needed)
     if not (likely or strong) or best.norm > NORM_LIMIT * len(best.pairs):
+        return
+    if far2 <= 1.0 and are_bare(f, best.pairs) and not isfinite(setup.length_m):
         return
     if wide:  # the slope that GLONASS fits with is known now
         f.x[:], f.P[:, :] = level.x, level.P

@@ -6,7 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, condition, held_differences, held_references, pack_pairs, search_pairs, take
+from rtkmesh.rtk.ambiguity import (
+    NODE_LIMIT,
+    Candidates,
+    condition,
+    held_differences,
+    held_references,
+    pack_pairs,
+    pairs_of,
+    search_pairs,
+    take,
+)
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.memory import is_held
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, INTEGER, Filter
@@ -20,9 +30,9 @@ JOIN_TRIES: Final = 4  # all of the new ones, then without the newer, at last th
 
 
 @kernel
-def join(f: Filter, aided: Filter, candidates: Candidates, held: Indices, fit: float) -> None:
+def join(f: Filter, aided: Filter, candidates: Candidates, held: Indices, fit: float, groups: bool) -> None:
     """Give integers to ambiguities that the held ones (and a prediction) determine: all of the new ones, or without the newer, at last the
-    oldest alone; ``fit`` is the squared norm that each may have.
+    oldest alone; ``fit`` is the squared norm that each may have, ``groups`` whether clock groups of which none is held may join.
     """
     known = is_held(f, candidates)
     new = np.empty(len(known), np.bool_)
@@ -31,6 +41,8 @@ def join(f: Filter, aided: Filter, candidates: Candidates, held: Indices, fit: f
     fresh, old = take(candidates, new), take(candidates, known)
     nearest = np.empty(len(fresh.row), np.int64)
     count = held_references(fresh.group, old.group, old.weight, nearest)
+    if groups and count < len(nearest):
+        _join_groups(f, aided, take(fresh, nearest < 0), held, fit)
     if count == 0:
         return
     rows, references, pairs, j = np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 2), np.int64), 0
@@ -45,13 +57,63 @@ def join(f: Filter, aided: Filter, candidates: Candidates, held: Indices, fit: f
     norm = condition(aided.x, aided.P, held, held_differences(f, held), 0.0, wanted, x, P)
     if norm == np.inf:
         return
-    scale, ages = max(1.0, norm / len(held)), _ages(f, rows)
-    for k in range(JOIN_TRIES):
-        place = (k * (len(ages) - 1)) // (JOIN_TRIES - 1)
-        if k > 0 and place == ((k - 1) * (len(ages) - 1)) // (JOIN_TRIES - 1):
-            continue
-        if _join_older(f, rows, references, pairs, ages[place], x, P, scale, fit):
+    scale = max(1.0, norm / len(held))
+    for least in _tries(f, rows):
+        if _join_older(f, rows, references, pairs, least, x, P, scale, fit):
             return
+
+
+@kernel
+def _join_groups(f: Filter, aided: Filter, fresh: Candidates, held: Indices, fit: float) -> None:
+    """Give integers to double differences of groups of which none is held, as a system that was left out when integers were found."""
+    older = np.empty(len(fresh.row), np.bool_)
+    for least in _tries(f, fresh.row):
+        for k in range(len(older)):
+            older[k] = f.history[fresh.row[k], ARC_EPOCHS] >= least
+        pairs = pairs_of(take(fresh, older))
+        if len(pairs) > 0 and _groups_join(f, aided, pairs, held, fit):
+            return
+
+
+@kernel
+def _groups_join(f: Filter, aided: Filter, pairs: Indices, held: Indices, fit: float) -> bool:
+    """Give integers to these double differences, if the held ones determine them; their references get rounded float values."""
+    count, packed, wanted = len(pairs), pairs.copy(), np.empty(pairs.size, np.int64)
+    wanted = wanted[: pack_pairs(packed, wanted)]
+    x, P = np.empty(len(wanted)), np.empty((len(wanted), len(wanted)))
+    norm = condition(aided.x, aided.P, held, held_differences(f, held), 0.0, wanted, x, P)
+    if norm == np.inf:
+        return False
+    fixed = np.zeros((2, count))
+    if not _are_clear(x, P, packed, max(1.0, norm / len(held)), fit, fixed):
+        return False
+    for k in range(count):
+        f.history[pairs[k, 1] - DYNAMIC, INTEGER] = np.rint(f.x[pairs[k, 1]])
+    for k in range(count):
+        f.history[pairs[k, 0] - DYNAMIC, INTEGER] = f.history[pairs[k, 1] - DYNAMIC, INTEGER] + fixed[0, k]
+    return True
+
+
+@kernel
+def _are_clear(x: Vector, P: Matrix, pairs: Indices, scale: float, fit: float, fixed: Matrix) -> bool:
+    """Write the two best integer vectors of double differences whose norms are in units of ``scale``; return whether the best one fits and
+    stands out.
+    """
+    norms = np.zeros(2)
+    status, _ = search_pairs(x, P, pairs, NODE_LIMIT, fixed, norms)
+    return status == OK and norms[1] - norms[0] >= 2.0 * JOIN_ODDS * scale and norms[0] <= fit * scale * len(pairs)
+
+
+@kernel
+def _tries(f: Filter, rows: Indices) -> Vector:
+    """Return the arc lengths (epochs) from which on new ambiguities are tried: all of them, then without the newer, at last the oldest."""
+    ages, out, count = _ages(f, rows), np.empty(JOIN_TRIES), 0
+    for k in range(JOIN_TRIES):
+        least = ages[(k * (len(ages) - 1)) // (JOIN_TRIES - 1)]
+        if count == 0 or least != out[count - 1]:
+            out[count] = least
+            count += 1
+    return out[:count]
 
 
 @kernel
@@ -84,9 +146,8 @@ def _join_older(
     some = np.empty((count, 2), np.int64)
     for i in range(count):
         some[i, 0], some[i, 1] = pairs[chosen[i], 0], pairs[chosen[i], 1]
-    fixed, norms = np.zeros((2, count)), np.zeros(2)
-    status, _ = search_pairs(x, P, some, NODE_LIMIT, fixed, norms)
-    if status != OK or norms[1] - norms[0] < 2.0 * JOIN_ODDS * scale or norms[0] > fit * scale * count:
+    fixed = np.zeros((2, count))
+    if not _are_clear(x, P, some, scale, fit, fixed):
         return False
     for i in range(count):
         f.history[rows[chosen[i]], INTEGER] = f.history[references[chosen[i]], INTEGER] + fixed[0, i]

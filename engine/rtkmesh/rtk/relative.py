@@ -22,14 +22,14 @@ from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE, SLOPE_SIGMA, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
-from rtkmesh.rtk.published import far_covariance, fix_covariance
+from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.update import update
-from rtkmesh.rtk.validation import decide, fix, not_resolved, withheld
+from rtkmesh.rtk.validation import TOO_RISKY, TOO_UNCERTAIN, decide, fix, not_resolved, withheld
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -212,9 +212,14 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     if resolution.fixed:
         known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
+    published = resolution.P
+    if resolution.fixed and len(informed.keys) == 0:
+        published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
+        if is_vague(published, level, held_satellites(f, d, layout)[0]):
+            resolution = withheld(resolution, TOO_UNCERTAIN)
     guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, level, known.base_ecef_m, modelled_m)
     if resolution.fixed and guarded.wrong > setup.failure_rate:
-        resolution = withheld(resolution)
+        resolution = withheld(resolution, TOO_RISKY)
         guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, level, known.base_ecef_m, modelled_m)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
@@ -223,11 +228,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if not resolution.fixed:
         P = f.P[:DYNAMIC, :DYNAMIC].copy()
         return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), P, figures, satellites, float_scale * P[:3, :3])
-    published = resolution.P
     if len(informed.keys) > 0 and len(setup.antennas) == 0:
         published = far_covariance(resolution.P, known.base_ecef_m, resolution.x[:3])
-    elif len(informed.keys) == 0:
-        published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
     return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published)
 
 

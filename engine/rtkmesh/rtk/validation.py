@@ -55,6 +55,7 @@ from rtkmesh.rtk.memory import (
     release,
 )
 from rtkmesh.rtk.predicted import WEAK_M, carry, departure, with_prediction
+from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.solution import Reason
 from rtkmesh.rtk.state import DYNAMIC, INTEGER, SLOPE_KEY, Filter, place_of
 from rtkmesh.rtk.witness import witnessed
@@ -113,9 +114,9 @@ def not_resolved() -> Resolution:
 
 
 @kernel
-def withheld(r: Resolution) -> Resolution:
-    """Return the resolution of an epoch whose fix is not shown: it is wrong too probably."""
-    return Resolution(TOO_RISKY, False, r.x, r.P, r.ratio, r.odds, r.threshold, r.success, 0, 0, r.norm)
+def withheld(r: Resolution, reason: int) -> Resolution:
+    """Return the resolution of an epoch whose fix is not shown, for this reason."""
+    return Resolution(reason, False, r.x, r.P, r.ratio, r.odds, r.threshold, r.success, 0, 0, r.norm)
 
 
 @kernel
@@ -141,7 +142,7 @@ def decide(
     if len(held) < 3:
         try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told)
     else:
-        join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT)
+        join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
         _learn_glonass(f, everything, held, memory, setup)
     return free
 
@@ -260,7 +261,7 @@ def fix(
         elif away > DEPARTURE_LIMIT:
             note(f, True, memory, prediction)
             reason = NOT_VALID
-        elif not _is_far(f) and stands_alone(memory, away, time_s):
+        elif not _is_far(f) and (stands_alone(memory, away, time_s) or (are_bare(f, pairs) and not isfinite(setup.length_m))):
             reason = NOT_VALID
             if away <= DEPARTURE_ALONE:  # not shown, but where the next one is expected from
                 prediction[:3], prediction[3], memory[FIX_SIGMA] = x[:3], 0.0, sigma_m
