@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from functools import lru_cache
 from math import nan, radians
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ from rtkmesh.models.single_adjustment import (
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Plain = tuple[Any, ...]  # the fields of a named tuple: without names it crosses into a kernel sooner (rtk/crossing.py)
 
 
 class IonosphereModel(StrEnum):
@@ -130,7 +131,7 @@ def single_point(
     """Return the single-point solution of an epoch; without ``initial_ecef_m`` the iteration starts at the earth's centre."""
     options = options or SinglePointOptions()
     start = np.zeros(3) if initial_ecef_m is None else np.array(initial_ecef_m, np.float64)
-    found = locate(epoch.signals, table.issues, point_setup(options), start)
+    found = locate_epoch(epoch, table.issues, point_setup(options), start)
     satellites = found.satellites
     if found.status != CONVERGED:
         return _without_position(epoch.time, SingleStatus(found.status), satellites)
@@ -199,6 +200,16 @@ class Located(NamedTuple):
     states: Matrix
     geometry: Matrix
     work: Matrix
+
+
+def locate_epoch(epoch: Epoch, issues: Issues, setup: PointSetup, start_ecef_m: Vector) -> Located:
+    """Find position and velocity of a receiver as ``locate`` does."""
+    return _locate(tuple(epoch.signals), tuple(issues), tuple(setup), start_ecef_m)
+
+
+@kernel
+def _locate(signals: Plain, issues: Plain, setup: Plain, start_ecef_m: Vector) -> Located:
+    return locate(Signals(*signals), Issues(*issues), PointSetup(*setup), start_ecef_m)
 
 
 @kernel

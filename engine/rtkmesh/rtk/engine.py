@@ -20,7 +20,7 @@ from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable
-from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, point_setup
+from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate_epoch, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.around import Around, Past, at_instant_of
 from rtkmesh.rtk.asked_odds import DOUBLED_M
@@ -28,7 +28,7 @@ from rtkmesh.rtk.bookkeeping import Motion, seed
 from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
-from rtkmesh.rtk.crossing import locate_epoch, plain
+from rtkmesh.rtk.crossing import plain
 from rtkmesh.rtk.informed import INFORMED_FROM_M
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale

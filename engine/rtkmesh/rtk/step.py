@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Signals
-from rtkmesh.models.single import Located
+from rtkmesh.models.single import Located, Plain
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed
-from rtkmesh.rtk.crossing import Plain, named
+from rtkmesh.rtk.crossing import named
 from rtkmesh.rtk.relative import NOT_FINITE, SOLVED, Known, Setup, Solved, solve_pair, walks_of
 from rtkmesh.rtk.report import FIGURES
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, SEED_MOVING, Filter
