@@ -68,13 +68,14 @@ def test_a_slow_receiver_gets_whole_epochs_in_time_and_every_place(site: Any, ba
             f'[ingest.rover]\nsource = "serial://{receiver.path}?baud=9600"\n[ingest.rover.corrections]\nfrom = ["base"]\nset = "full"\n'
         )
         start(site, "rover", "base")
-        status = site.status_until(bus, "rover", lambda status: told(status)["written_bytes"] > 3500.0, 120.0)
+        status = site.status_until(
+            bus, "rover", lambda status: told(status)["written_bytes"] > 3500.0 and told(status)["dropped_epochs"] > 10, 120.0
+        )
         corrections = told(status)
         site.until(lambda: len(receiver.corrections) >= sum(row["written"] for row in corrections["messages"].values()))
         frames = list(receiver.corrections)
     got = [message_number(frame.data) for frame in frames]
     assert corrections["link_bytes_per_s"] == BYTES_PER_S
-    assert corrections["dropped_epochs"] > 5
     observations = [number for number in got if number in (1077, 1087, 1097, 1127)]
     whole = len(observations) // 4
     assert observations[: 4 * whole] == [1077, 1087, 1097, 1127] * whole, "no epoch is cut"
@@ -94,7 +95,7 @@ def test_a_slow_receiver_gets_whole_epochs_in_time_and_every_place(site: Any, ba
 
 
 def told(status: ServiceStatus) -> Any:
-    return status.data.get("corrections") or {"written_bytes": 0.0}
+    return status.data.get("corrections") or {"written_bytes": 0.0, "dropped_epochs": 0}
 
 
 def test_a_receiver_that_sends_nothing_gets_its_corrections(site: Any, base: BaseServer):

@@ -148,47 +148,50 @@ def test_a_disk_that_stays_full_leaves_whole_frames(small_disk: Path):
     assert framer.pending == 0
 
 
-def test_a_disk_that_hangs_in_fsync_blocks_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+class Disk:
+    """It hangs in fsync until it is released."""
+
+    def __init__(self) -> None:
+        self.hanging, self.released, self._fsync = threading.Event(), threading.Event(), os.fsync
+
+    def fsync(self, descriptor: int) -> None:
+        self.hanging.set()
+        assert self.released.wait(PATIENCE_S)
+        self._fsync(descriptor)
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    made = Disk()
+    monkeypatch.setattr("rtkmesh_services.runtime.raw_log.os.fsync", made.fsync)
+    return made
+
+
+def test_a_disk_that_hangs_in_fsync_blocks_nobody(tmp_path: Path, disk: Disk):
     """The work loop takes frames while the writer waits for the disk; afterwards all of them are there."""
-    hanging, released, real = threading.Event(), threading.Event(), os.fsync
-
-    def fsync(descriptor: int) -> None:
-        hanging.set()
-        assert released.wait(PATIENCE_S)
-        real(descriptor)
-
-    monkeypatch.setattr("rtkmesh_services.runtime.raw_log.os.fsync", fsync)
     recorder = Recorder(tmp_path)
     recorder.send(FRAMES[0])
-    assert hanging.wait(PATIENCE_S)
+    assert disk.hanging.wait(PATIENCE_S)
     for data in FRAMES[1:]:
         recorder.send(data)
     assert recorder.status().inputs[0].messages == len(FRAMES)
     assert recorder.status().data["waiting_bytes"] == sum(map(len, FRAMES[1:]))
-    released.set()
+    disk.released.set()
     recorder.life.finish()
     assert content_of(tmp_path) == b"".join(FRAMES)
 
 
-def test_an_end_while_the_disk_hangs_in_fsync_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_end_while_the_disk_hangs_in_fsync_loses_nothing(tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch):
     """What came meanwhile is written by who ends the process: the system has it, whenever the disk takes it."""
-    hanging, released, real = threading.Event(), threading.Event(), os.fsync
-
-    def fsync(descriptor: int) -> None:
-        hanging.set()
-        assert released.wait(PATIENCE_S)
-        real(descriptor)
-
-    monkeypatch.setattr("rtkmesh_services.runtime.raw_log.os.fsync", fsync)
     monkeypatch.setattr("rtkmesh_services.recorder.service.CLOSE_S", 0.2)
     recorder = Recorder(tmp_path, tags=True)
     recorder.send(FRAMES[0])
-    assert hanging.wait(PATIENCE_S)
+    assert disk.hanging.wait(PATIENCE_S)
     for data in FRAMES[1:]:
         recorder.send(data)
     recorder.life.finish()
     assert content_of(tmp_path) == b"".join(FRAMES)
-    released.set()
+    disk.released.set()
     recorder.life.service._writer._thread.join(PATIENCE_S)
     [log] = tmp_path.glob("*.rtcm3")
     assert recover(log).faults == []
@@ -221,7 +224,7 @@ for number in range(1200):
     recorder.send(FRAMES[number % 400])
     if number % 300 == 299:
         recorder.life.step(0.3)
-while recorder.status().data["waiting_bytes"]:
+while len(content_of(pathlib.Path(sys.argv[1]))) < sum(len(FRAMES[number % 400]) for number in range(1200)):
     recorder.life.step(0.1)
 recorder.life.finish()
 """
