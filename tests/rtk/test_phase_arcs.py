@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from tests.rtk.simulated_session import solutions
 
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh.rtk.options import RtkOptions
+from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
 from rtkmesh.rtk.phase_arcs import INDEPENDENT_S, phase_inflations
 from rtkmesh.rtk.solution import Status
 from rtkmesh.rtk.state import ARC_EPOCHS, HISTORY, SEEN_S
@@ -40,14 +40,15 @@ def test_each_phase_has_an_arc_of_its_own():
 
 
 def sigma_after(seconds: int, rate_hz: float) -> float:
-    """Return the sigma (m) of the fixes of the last one of so many seconds at this rate, under an open sky."""
-    found = solutions(RtkOptions(), 1, GpsTime(2446, 400020.0), rate_hz, round(seconds * rate_hz) + 1)
-    sigmas = [float(np.sqrt(np.trace(s.position_cov_ecef_m2))) for s in found if s.status is Status.FIX]
+    """Return the sigma (m) of the floats of the last one of so many seconds at this rate, under an open sky."""
+    options = RtkOptions(ambiguity=AmbiguityOptions(mode=AmbiguityMode.OFF))
+    found = solutions(options, 1, GpsTime(2446, 400020.0), rate_hz, round(seconds * rate_hz) + 1)
+    sigmas = [float(np.sqrt(np.trace(s.position_cov_ecef_m2))) for s in found if s.status is Status.FLOAT]
     assert len(sigmas) > 0.9 * seconds * rate_hz
     return float(np.median(sigmas[-round(rate_hz) :]))
 
 
 @pytest.mark.slow
-def test_more_epochs_of_the_same_seconds_do_not_make_fixes_surer():
-    """With phases that counted by the epoch the sigma after 8 s was 5.1 mm at 1 Hz and 4.7 at 10 Hz; now it is 7.3."""
+def test_more_epochs_of_the_same_seconds_do_not_make_floats_surer():
+    """With phases that counted by the epoch the sigma after 8 s was 0.51 m at 1 Hz and 0.49 at 10 Hz; now it is 0.52 and 0.53."""
     assert sigma_after(8, 10.0) >= sigma_after(8, 1.0)
