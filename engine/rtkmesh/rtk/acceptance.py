@@ -1,6 +1,6 @@
 """Which integers are believed when none are held: from one clear search, from a subset, or from searches that keep agreeing."""
 
-from math import isfinite, log, sqrt
+from math import log, sqrt
 from typing import Final
 
 import numpy as np
@@ -59,10 +59,11 @@ SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chanc
 @kernel
 def try_new(
     f: Filter, aided: Filter, helped: bool, candidates: Candidates, everything: Candidates, free: Search, memory: Vector,
-    setup: ResolveSetup, time_s: float, asked: float, asked_of_free: float,
+    setup: ResolveSetup, time_s: float, asked: float, asked_of_free: float, reflected: bool,
 ) -> None:  # fmt: skip
     """Look for integers without any that are held; ``aided`` is the filter that knows a prediction, where that ``helped``; ``asked``
-    are the log odds from which one search is believed (``asked_odds``), ``asked_of_free`` those of the ``free`` one.
+    are the log odds from which one search is believed (``asked_odds``), ``asked_of_free`` those of the ``free`` one; ``reflected``: codes
+    are worse than those of patches in the open.
     """
     release(f)
     memory[HELD_SINCE_S] = np.inf
@@ -97,8 +98,8 @@ def try_new(
     strong = not few and _strong(best, penalty + space, setup, needed)
     if not (likely or strong) or best.norm > NORM_LIMIT * len(best.pairs):
         return
-    if far2 <= 1.0 and are_bare(f, best.pairs) and not isfinite(setup.length_m):
-        return
+    if reflected and far2 <= 1.0 and are_bare(f, best.pairs):
+        return  # elsewhere GLONASS, or another system, may be found by them
     if wide:  # the slope that GLONASS fits with is known now
         f.x[:], f.P[:, :] = level.x, level.P
         memory[TRUSTS_GLONASS] = 1.0

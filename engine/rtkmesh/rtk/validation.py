@@ -140,7 +140,8 @@ def decide(
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
     aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
-        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told)
+        reflected = isfinite(level) and level > FAIR_CODES
+        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told, reflected)
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
         _learn_glonass(f, everything, held, memory, setup)
