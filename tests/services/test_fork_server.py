@@ -6,11 +6,12 @@ import selectors
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.patience import until
 
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.control.fleet import ProcessSpec, clean_environment
@@ -71,13 +72,6 @@ def server() -> Iterator[Server]:
     made.selector.close()
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 0, 0, 0, 0)
     assert not children(), "nothing is left"
-
-
-def until(what: Callable[[], bool], *, step: Callable[[], object], timeout_s: float = 60.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not what():
-        assert time.monotonic() < deadline_s
-        step()
 
 
 def children() -> list[int]:

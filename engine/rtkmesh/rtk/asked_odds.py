@@ -34,6 +34,12 @@ def code_level(scale: Matrix) -> float:
 
 
 @kernel
+def is_reflected(level: float) -> bool:
+    """Return whether codes of this variance factor (infinite: not known) are worse than those of patches in the open."""
+    return isfinite(level) and level > FAIR_CODES
+
+
+@kernel
 def is_street(level: float) -> bool:
     """Return whether codes of this variance factor (infinite: not known) are those of a place with many reflections."""
     return isfinite(level) and level > STREET_CODES

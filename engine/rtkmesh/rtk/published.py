@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
-from rtkmesh.rtk.asked_odds import FAIR_CODES
+from rtkmesh.rtk.asked_odds import is_reflected
 from rtkmesh.rtk.noise import PHASE, phase_factor
 from rtkmesh.rtk.residuals import Differences
 from rtkmesh.rtk.separation import Epochwise, phase_ranges, solve_epoch
@@ -139,8 +139,7 @@ def is_vague(cov_m2: Matrix, level: float, satellites: int) -> bool:
     """Return whether a fix with this covariance (m2) as published, codes of this variance factor and integers of so many satellites is too
     uncertain to be one.
     """
-    reflected = isfinite(level) and level > FAIR_CODES and satellites <= FEW_SATELLITES
-    return reflected and cov_m2[0, 0] + cov_m2[1, 1] + cov_m2[2, 2] > VAGUE_M**2
+    return is_reflected(level) and satellites <= FEW_SATELLITES and cov_m2[0, 0] + cov_m2[1, 1] + cov_m2[2, 2] > VAGUE_M**2
 
 
 @kernel

@@ -26,7 +26,7 @@ from rtkmesh.rtk.ambiguity import (
     take,
     tell,
 )
-from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_street
+from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
 from rtkmesh.rtk.joining import join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -140,8 +140,7 @@ def decide(
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
     aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
-        reflected = isfinite(level) and level > FAIR_CODES
-        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told, reflected)
+        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told, is_reflected(level))
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
         _learn_glonass(f, everything, held, memory, setup)
