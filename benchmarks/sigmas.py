@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Are the published covariances honest? Normalised errors squared e' P^-1 e / 3 of fixes and of floats: 1 is honest, more is too sure.
+"""Are published covariances honest? Normalised errors squared e' P^-1 e / 3 of fixes, floats, velocities: 1 is honest, more is too sure.
 
   sigmas.py [--data DIR] [--runs N] [--seed S] [--quick] [--json]
 
@@ -7,7 +7,8 @@ Simulated: runs of the campaign's open-sky families; every position against the 
 or, where there is none, against their own mean fix; the mean error of the fixes is taken away first where the recordings' page says that
 antenna phase centres differ (*) or that the truth is such a mean (†). Floats are those of a solver without integers (AmbiguityMode.OFF).
 A float's error stays: a whole recording without integers is one sample of three numbers, whose mean is 0.1 to 2.6 (90 %) if all is honest.
-So on recordings floats begin anew every 150 s (or 20 epochs), as long as simulated runs are. E, N, U: root mean square of error over
+So on recordings floats begin anew every 150 s (or 20 epochs), as long as simulated runs are. Velocities are those of all epochs with
+Dopplers, whatever their status; recordings stand still, but are solved as if they moved. E, N, U: root mean square of error over
 sigma per axis. Errors of neighbouring epochs hang together: the mean is as good as a few dozens of independent ones.
 """
 
@@ -30,7 +31,7 @@ from cases import Case, data_folder, load
 from families import FAMILIES, Family
 from results import table
 from rtkmesh.gnss.frames import enu_from_ecef_at
-from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
+from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
 from simulated import WRONG_M, Simulated, solve
 
@@ -40,6 +41,7 @@ Vector = NDArray[np.float64]
 RUNS: Final = 20
 QUICK_RUNS: Final = 4
 SIMULATED: Final = ("open", "open_survey_l1", "open_f9p_l1", "open_m8_l1")
+MOVING: Final = (*SIMULATED, "urban", "forest")  # families of which velocities are judged too
 # Static recordings, and why their mean error is taken away ("" : it is not).
 RECORDED: Final = {
     "tokyo_static_l125": "†",
@@ -61,8 +63,8 @@ COLUMNS: Final = (
     "E",
     "N",
     "U",
-    "sigma 3D m, median",
-    "error 3D m, median",
+    "sigma 3D (m, m/s), median",
+    "error 3D (m, m/s), median",
 )
 PIECE_S: Final = 150.0  # of a recording, after which floats begin anew
 PIECE_EPOCHS: Final = 20  # at least
@@ -70,14 +72,14 @@ PIECE_EPOCHS: Final = 20  # at least
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """Errors (n, 3) and covariances (n, 3, 3) of solutions, east-north-up, metres."""
+    """Errors (n, 3) and covariances (n, 3, 3) of solutions, east-north-up, metres or metres per second."""
 
-    error_m: Vector
-    cov_m2: Vector
+    error: Vector
+    cov: Vector
 
     def squares(self) -> Vector:
         """Return the normalised errors squared, divided by the number of axes."""
-        return np.array([e @ np.linalg.solve(p, e) / 3.0 for e, p in zip(self.error_m, self.cov_m2, strict=True)])
+        return np.array([e @ np.linalg.solve(p, e) / 3.0 for e, p in zip(self.error, self.cov, strict=True)])
 
 
 def errors(solutions: Sequence[Solution], truth_ecef_m: Vector) -> Errors:
@@ -89,20 +91,28 @@ def errors(solutions: Sequence[Solution], truth_ecef_m: Vector) -> Errors:
     return Errors((position - truth_ecef_m) @ turn.T, turn @ np.array([s.position_cov_ecef_m2 for s in solutions]) @ turn.T)
 
 
+def velocity_errors(solutions: Sequence[Solution], truth_ecef_mps: Vector) -> Errors:
+    """Return errors of velocities against one truth or one per solution."""
+    if not solutions:
+        return Errors(np.empty((0, 3)), np.empty((0, 3, 3)))
+    velocity, turn = np.array([s.velocity_ecef_mps for s in solutions]), enu_from_ecef_at(solutions[0].position_ecef_m)
+    return Errors((velocity - truth_ecef_mps) @ turn.T, turn @ np.array([s.velocity_cov_ecef_m2ps2 for s in solutions]) @ turn.T)
+
+
 def figures(found: Errors) -> Row:
     """Return what the errors say of the covariances."""
     squares = np.sort(found.squares())
     if not len(squares):
         return {"number": 0}
-    sigma_m = np.sqrt(np.diagonal(found.cov_m2, axis1=1, axis2=2))
-    per_axis = np.sqrt(np.mean((found.error_m / sigma_m) ** 2, axis=0))
+    sigma_m = np.sqrt(np.diagonal(found.cov, axis1=1, axis2=2))
+    per_axis = np.sqrt(np.mean((found.error / sigma_m) ** 2, axis=0))
     return {
         "number": len(squares),
         "mean": float(squares.mean()),
         "trimmed": float(squares[: max(1, round(0.95 * len(squares)))].mean()),
         "axes": [float(v) for v in per_axis],
         "sigma_m": float(np.median(np.linalg.norm(sigma_m, axis=1))),
-        "error_m": float(np.median(np.linalg.norm(found.error_m, axis=1))),
+        "error_m": float(np.median(np.linalg.norm(found.error, axis=1))),
     }
 
 
@@ -119,6 +129,26 @@ def of_run(simulated: Simulated, mode: AmbiguityMode) -> Errors:
     chosen = [k for k, s in enumerate(solutions) if s is not None and s.status is wanted]
     found = [s for s in solutions if s is not None and s.status is wanted]
     return errors(found, np.array([simulated.rover[k].position_ecef_m for k in chosen]).reshape(-1, 3))
+
+
+def of_velocities(family: Family, seed: int, runs: int) -> Errors:
+    """Return the errors of a family's velocities."""
+    return joined([_velocities_of(simulated_run(family, seed, run)) for run in range(runs)])
+
+
+def _velocities_of(simulated: Simulated) -> Errors:
+    pairs = zip(solve(simulated), simulated.rover, strict=True)
+    known = [(s, seen) for s, seen in pairs if s is not None and np.isfinite(s.velocity_ecef_mps).all()]
+    return velocity_errors([s for s, _ in known], np.array([seen.velocity_ecef_mps for _, seen in known]).reshape(-1, 3))
+
+
+def of_recorded_velocities(case: Case) -> Errors:
+    """Return the errors of the velocities of a static pair, of epochs in which there are any by Doppler."""
+    options = RtkOptions(systems=case.systems, frequencies=case.frequencies)
+    standing = recorded.solutions(case, replace(options, mode=Mode.SINGLE))
+    by_doppler = [np.isfinite(s.velocity_ecef_mps).all() for s in standing]
+    found = zip(recorded.solutions(case, options), by_doppler, strict=True)
+    return velocity_errors([s for s, ok in found if ok], np.zeros(3))
 
 
 def of_recording(case: Case, offset: str, mode: AmbiguityMode) -> tuple[Errors, int]:
@@ -145,7 +175,7 @@ def _pieces(case: Case) -> Iterator[list[Solution]]:
 
 def joined(parts: Sequence[Errors]) -> Errors:
     """Return the errors of all parts."""
-    return Errors(np.concatenate([p.error_m for p in parts]), np.concatenate([p.cov_m2 for p in parts]))
+    return Errors(np.concatenate([p.error for p in parts]), np.concatenate([p.cov for p in parts]))
 
 
 def measured(data: Path | None, runs: int, seed: int, names: Sequence[str]) -> Iterator[Row]:
@@ -154,11 +184,15 @@ def measured(data: Path | None, runs: int, seed: int, names: Sequence[str]) -> I
         if family.name in SIMULATED:
             for title, mode in (("fix", AmbiguityMode.CONTINUOUS), ("float", AmbiguityMode.OFF)):
                 yield {"data": f"simulated: {family.title}", "kind": title} | figures(of_simulation(family, seed, runs, mode))
+        if family.name in MOVING:
+            yield {"data": f"simulated: {family.title}", "kind": "velocity"} | figures(of_velocities(family, seed, runs))
     for case in load(data, list(names)) if data else []:
         for title, mode in (("fix", AmbiguityMode.CONTINUOUS), ("float", AmbiguityMode.OFF)):
             found, wrong = of_recording(case, RECORDED[case.name], mode)
             row = figures(found)
             yield {"data": f"{case.name}{RECORDED[case.name]}", "kind": title, "left_out": wrong} | row
+        if (found := of_recorded_velocities(case)).cov.size:
+            yield {"data": case.name, "kind": "velocity"} | figures(found)
 
 
 def page(rows: Sequence[Row]) -> str:

@@ -32,9 +32,12 @@ from rtkmesh.models.ephemeris_table import ROW, EphemerisTable, Issues, select_i
 from rtkmesh.models.geometry import AZIMUTH, ELEVATION, GEOMETRY
 from rtkmesh.models.orbit import STATE, STATE_OK, satellite_states
 from rtkmesh.models.single_adjustment import (
+    CHI2,
     CONVERGED,
     FEW_SATELLITES,
+    FREEDOM,
     NO_EPHEMERIS,
+    PDOP,
     QUALITY,
     UNKNOWNS,
     adjust_position,
@@ -155,9 +158,9 @@ def single_point(
         residual_m=work[:, RESIDUAL].copy(),
         rate_residual_mps=np.where(work[:, RATE_USED] != 0.0, work[:, RATE_RESIDUAL], nan),
         rejected=tuple(satellites[seen & ~used].tolist()),
-        chi_square=float(found.quality[0]),
-        degrees_of_freedom=int(found.quality[1]),
-        pdop=float(found.quality[2]),
+        chi_square=float(found.quality[CHI2]),
+        degrees_of_freedom=int(found.quality[FREEDOM]),
+        pdop=float(found.quality[PDOP]),
     )
 
 
@@ -184,7 +187,8 @@ class Located(NamedTuple):
 
     One row per satellite with a code: ``satellites`` (sorted), ephemeris ``rows``, ``states``, ``geometry``, ``work``. ``velocity_mps``
     has the clock's rate as fourth; ``clock_s`` is the receiver clock of the first system in use, GPS first, ``clocks_s`` the receiver clock
-    minus the time of each system, in the order of ``SYSTEMS``; ``quality`` is chi-square, degrees of freedom, PDOP.
+    minus the time of each system, in the order of ``SYSTEMS``; ``quality`` is chi-square and degrees of freedom of codes,
+    PDOP, and the first two of range rates (NaN without velocity).
     """
 
     status: int
@@ -242,9 +246,9 @@ def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Ve
         )
     if status != CONVERGED:
         position[:], cofactor[:, :], geometry[:, :] = np.nan, np.nan, np.nan
-    elif adjust_velocity(work, states, geometry, setup.adjustment, position, velocity, rate_cofactor) != CONVERGED:
+    elif adjust_velocity(work, states, geometry, setup.adjustment, position, velocity, rate_cofactor, quality) != CONVERGED:
         velocity[:], rate_cofactor[:, :] = np.nan, np.nan
-    scale = max(1.0, quality[0] / quality[1]) if quality[1] > 0.0 else 1.0
+    scale = max(1.0, quality[CHI2] / quality[FREEDOM]) if quality[FREEDOM] > 0.0 else 1.0
     clock_s, clocks_s = np.nan, np.full(len(CLOCK_OF_SYSTEM), np.nan)
     if status == CONVERGED:
         clock_s = clocks_by_system(work, clocks_m, clocks_s)

@@ -35,7 +35,8 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 UNKNOWNS: Final = 3 + CLOCKS
-QUALITY: Final = 3
+CHI2, FREEDOM, PDOP, RATE_CHI2, RATE_FREEDOM = range(5)  # of ``quality``: of codes, dilution, of range rates
+QUALITY: Final = 5
 CONVERGED, NO_EPHEMERIS, FEW_SATELLITES, NO_CONVERGENCE, INCONSISTENT, POOR_GEOMETRY = range(6)  # as SingleStatus has them
 
 LEAST_SQUARES, LEAST_ABSOLUTE = 0.0, 1.0  # norms of a fit
@@ -62,7 +63,7 @@ def adjust_position(work: Matrix, states: Matrix, geometry: Matrix, week: int, t
     """Find position (m, ECEF; in: where to start) and receiver clocks (m, one per group) with the inverse of their normal matrix.
 
     ``setup``: elevation mask (rad), a and b of the code's sigma (m), 1.0 to model the ionosphere, 1.0 to model the troposphere, largest
-    PDOP, sigma of a range rate (m/s). ``quality`` becomes chi-square, degrees of freedom, PDOP. Excluded satellites have USED 0; returns
+    PDOP, sigma of a range rate (m/s). ``quality`` gets chi-square, degrees of freedom, PDOP. Excluded satellites have USED 0; returns
     a status of this module.
     """
     for i in range(work.shape[0]):
@@ -79,8 +80,8 @@ def adjust_position(work: Matrix, states: Matrix, geometry: Matrix, week: int, t
     if status == CONVERGED and not 6.2e6 < sqrt(position[0] ** 2 + position[1] ** 2 + position[2] ** 2) < 5.0e7:
         return NO_CONVERGENCE
     if status == CONVERGED:
-        quality[0], quality[1], quality[2] = _chi_square(work), _freedom(work), _dilution(work, geometry)
-        return CONVERGED if quality[2] <= setup[5] else POOR_GEOMETRY
+        quality[CHI2], quality[FREEDOM], quality[PDOP] = _chi_square(work), _freedom(work), _dilution(work, geometry)
+        return CONVERGED if quality[PDOP] <= setup[5] else POOR_GEOMETRY
     return status
 
 
@@ -382,11 +383,12 @@ def _dilution(work: Matrix, geometry: Matrix) -> float:
 
 @kernel
 def adjust_velocity(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector, position: Vector, velocity: Vector,
-                    cofactor: Matrix) -> int:  # fmt: skip
+                    cofactor: Matrix, quality: Vector) -> int:  # fmt: skip
     """Find velocity (m/s, ECEF) and receiver clock rate (m/s) in ``velocity`` (4) from range rates, with their covariance (4, 4).
 
     ``setup`` as for ``adjust_position``, which comes first. The sigma of a range rate is its last (1 + 1 / sin elevation) / 2. Dopplers
-    have their own exclusion (RATE_USED); the covariance is multiplied by the variance of unit weight if that exceeds 1.
+    have their own exclusion (RATE_USED); the covariance is multiplied by the variance of unit weight if that exceeds 1. ``quality`` gets
+    chi-square and degrees of freedom of range rates.
     """
     sigma_mps = setup[6]
     for k in range(4):
@@ -408,6 +410,7 @@ def adjust_velocity(work: Matrix, states: Matrix, geometry: Matrix, setup: Vecto
             continue
         if worst >= 0 and largest > _GROSS:
             return INCONSISTENT
+        quality[RATE_CHI2], quality[RATE_FREEDOM] = chi2, used - 4.0
         if used > 4:
             scale = max(1.0, chi2 / (used - 4))
             for a in range(4):

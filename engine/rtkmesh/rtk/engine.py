@@ -34,6 +34,7 @@ from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
 from rtkmesh.rtk.overview import Overview, overview_of
+from rtkmesh.rtk.rate_errors import RateErrors
 from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Setup, Solved, differences_of, solve
 from rtkmesh.rtk.report import FIGURES, IS_FIXED, ODDS, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
@@ -71,6 +72,7 @@ class Rtk:
         self._sense = 1.0 if direction is Direction.FORWARD else -1.0  # of the filter's clock against GPS time
         self._state: FilterState | None = None
         self._past = Past(new_memory(), np.full(7, nan), new_code_scale(), new_code_scale())
+        self._rates = RateErrors(), RateErrors()  # of the rover and of a moving base
         self._resets = 0
         self._absurd = 0
         self._was_fixed = False
@@ -107,6 +109,7 @@ class Rtk:
         other = Rtk(self.options, self.direction)
         other._klobuchar, other._point = self._klobuchar, self._point
         other._use(self._setup)
+        other._rates = self._rates[0].copy(), RateErrors()
         other._resets, other._was_fixed = self._resets, self._was_fixed
         if self._state is not None and self.options.mode is not Mode.MOVING_BASE:
             sigma_m = 0.0 if self.options.mode is Mode.FIXED else float(SEED_MOVING[0])
@@ -177,15 +180,17 @@ class Rtk:
         issues, base_single, self._satellites = ephemerides.issues, None, None
         single = locate_epoch(rover, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
         self._single = single
+        self._rates[0].learn(rover.time, single.quality)
         if self.options.mode is Mode.SINGLE:
-            return from_single(rover, base, single)
+            return self._alone(rover, base, single)
         if base is not None and self.options.mode is Mode.MOVING_BASE:
             base_single = locate_epoch(base, issues, self._point, _NOWHERE if base_position_ecef_m is None else base_position_ecef_m)
+            self._rates[1].learn(base.time, base_single.quality)
             base_position_ecef_m = base_single.position_ecef_m if base_single.status == CONVERGED else None
             base = at_instant_of(rover, single, base, base_single, issues)
         reason = self._obstacle(rover, base, base_position_ecef_m)
         if reason is not Reason.OK or base is None or base_position_ecef_m is None:
-            return replace(from_single(rover, base, single), reason=reason)
+            return replace(self._alone(rover, base, single), reason=reason)
         bases = [base]
         if self.options.mode is not Mode.MOVING_BASE:
             bases = complemented(rover, base, self._bases.before(base) if earlier_bases is None else earlier_bases)
@@ -257,23 +262,28 @@ class Rtk:
         """Return an instant on the filter's clock."""
         return self._sense * (time - state.origin)
 
-    # --- one relative solution ---
+    # --- one solution ---
+
+    def _alone(self, rover: Epoch, base: Epoch | None, single: Located) -> Solution:
+        """Return the single-point solution."""
+        return from_single(rover, base, single, self._rates[0].factor)
 
     def _relative(self, around: Around) -> Solution:
         rover, base, single = around.rover, around.bases[0], around.singles[0]
         solved = self._solved_from_past(around) or self._solved_from_here(around)
         state, age_s = self._state, rover.time - base.time
         if state is None or solved is None:
-            return from_single(rover, base, single)
+            return self._alone(rover, base, single)
         if solved.status == SOLVED and not solved.figures[IS_FIXED] and self._may_begin_anew(state, single):
             solved = self._anew(state, around) or solved
         if solved.status == FEW_COMMON:
-            return replace(from_single(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
+            return replace(self._alone(rover, base, single), reason=Reason.FEW_COMMON_SATELLITES, age_s=age_s, resets=self._resets)
         if solved.status == NOT_FINITE:
             self.reset()
-            return replace(from_single(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
+            return replace(self._alone(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
-        circumstances = Circumstances(age_s, self._moves, self._sense, around.singles[1], self._resets, self.options)
+        factors = self._rates[0].factor, self._rates[1].factor
+        circumstances = Circumstances(age_s, self._moves, self._sense, around.singles[1], factors, self._resets, self.options)
         solution = report(rover, base, single, around.base_ecef_m, solved, circumstances)
         self._satellites = solution.satellites
         return solution

@@ -88,8 +88,8 @@ _NO_SATELLITES: Final = np.zeros(0, np.int64)
 _NO_DELAYS: Final = np.zeros(0)
 
 
-def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
-    """Return the single-point solution of an epoch, or none with the reason."""
+def from_single(rover: Epoch, base: Epoch | None, single: Located, rate_factor: float) -> Solution:
+    """Return the single-point solution of an epoch, or none with the reason; ``rate_factor`` is of its velocity's covariance."""
     ok = single.status == CONVERGED
     return Solution(
         time=rover.time,
@@ -98,7 +98,7 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
         position_ecef_m=single.position_ecef_m,
         position_cov_ecef_m2=single.covariance_m2,
         velocity_ecef_mps=single.velocity_mps[:3],
-        velocity_cov_ecef_m2ps2=single.velocity_cov_m2ps2,
+        velocity_cov_ecef_m2ps2=rate_factor * single.velocity_cov_m2ps2,
         single_position_ecef_m=single.position_ecef_m,
         receiver_clock_s=single.clock_s,
         clocks_s=single.clocks_s,
@@ -111,14 +111,15 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
-    """What is around a relative solution: ``base_single`` is the single point of a moving base, else None; ``sense`` is 1.0, or -1.0 where
-    the filter's clock runs against GPS time.
+    """What is around a relative solution: ``base_single`` is the single point of a moving base, else None; ``rate_factors`` are of the
+    covariances of both receivers' velocities; ``sense`` is 1.0, or -1.0 where the filter's clock runs against GPS time.
     """
 
     age_s: float
     moves: bool
     sense: float
     base_single: Located | None
+    rate_factors: tuple[float, float]
     resets: int
     options: RtkOptions
 
@@ -188,16 +189,32 @@ def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tup
     """Return velocity and its covariance, acceleration and its covariance (ECEF, NaN where not known) of the filter; of a moving base its
     own velocity is added, but the acceleration is the baseline's.
 
-    Where nothing moves the velocity is the single-point one.
+    Where nothing moves, or nobody knows how the base does, the velocity is the single-point one.
     """
-    if not around.moves:
-        return single.velocity_mps[:3], single.velocity_cov_m2ps2, np.full(3, nan), np.full((3, 3), nan)
+    base, factor = around.base_single, around.rate_factors[0]
+    if not around.moves or (base is not None and not isfinite(base.velocity_mps[0])):
+        return single.velocity_mps[:3], factor * single.velocity_cov_m2ps2, np.full(3, nan), np.full((3, 3), nan)
     velocity, covariance = around.sense * x[3:6], P[3:6, 3:6].copy()
-    base = around.base_single
-    if base is not None and isfinite(base.velocity_mps[0]):
+    if base is not None:
         velocity += base.velocity_mps[:3]
-        covariance += base.velocity_cov_m2ps2
+        covariance = covariance_of_sum(covariance, single, base, around.rate_factors)
+    elif isfinite(single.velocity_mps[0]):  # else the covariance is what motion and phases make of it
+        covariance *= factor
     return velocity, covariance, x[6:9].copy(), P[6:9, 6:9].copy()
+
+
+def covariance_of_sum(P: Matrix, single: Located, base: Located, factors: tuple[float, float]) -> Matrix:
+    """Return the covariance (m2/s2) of the sum of a base's Doppler velocity and the filter's relative one, in which the same Dopplers are.
+
+    With D and B the covariances of rover's and base's, the filter has taken K = P (D + B)^-1 of the difference of both: its error
+    and that of the base's have -K B in common. Without Dopplers of the rover they have nothing in common.
+    """
+    D, B = factors[0] * single.velocity_cov_m2ps2, factors[1] * base.velocity_cov_m2ps2
+    if not isfinite(D[0, 0]):
+        return P + B
+    relative = P * (np.trace(D + B) / np.trace(single.velocity_cov_m2ps2 + base.velocity_cov_m2ps2))
+    common = relative @ np.linalg.solve(D + B, B)
+    return relative + B - common - common.T
 
 
 @kernel

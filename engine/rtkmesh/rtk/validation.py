@@ -243,7 +243,7 @@ def fix(
     """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``)."""
     pairs, x, P = pairs_of(take(candidates, is_held(f, candidates))), np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
     count, grade, sigma_m, norm = len(pairs), 0, np.nan, 0.0
-    if count < 4:
+    if count < _least_count(setup):
         reason = FEW_AMBIGUITIES if len(free.pairs) < setup.minimum_ambiguities else NOT_SURE
     else:
         integers = held_differences(f, pairs)
@@ -281,6 +281,12 @@ def fix(
 def _sigma_m(P: Matrix) -> float:
     """Return the sigma of a position in 3D (m)."""
     return sqrt(max(P[0, 0] + P[1, 1] + P[2, 2], 0.0))
+
+
+@kernel
+def _least_count(setup: ResolveSetup) -> int:
+    """Return how many integers a fix must have: four may do where a length that is known constrains them."""
+    return min(setup.minimum_ambiguities, 4) if isfinite(setup.length_m) else setup.minimum_ambiguities
 
 
 @kernel
