@@ -95,7 +95,7 @@ def events(world: World) -> list[Event]:
     return [event for event in found if event.code == "filter_reset"]
 
 
-def engine_of(world: World):  # noqa: ANN201  private to the service
+def engine_of(world: World):
     service = world.lives["rtk"].service
     assert isinstance(service, SolverService)
     return service.session.engine
