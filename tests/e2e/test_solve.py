@@ -215,6 +215,17 @@ def test_configuration_faults_are_named(tmp_path: Path, capsys: pytest.CaptureFi
     assert "elevation_mask_deg" in message
 
 
+@pytest.mark.data
+def test_options_that_contradict_each_other_are_told_with_their_file(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What only the engine sees: too few ambiguities for a baseline whose length nobody knows."""
+    config = tmp_path / "few.toml"
+    config.write_text('[solver]\nrover = "rover"\nbase = "base"\nambiguity.minimum_ambiguities = 4\n')
+    assert run(arguments(data, "--config", str(config))) == 2
+    assert f"{config}: minimum_ambiguities is 4" in capsys.readouterr().err
+
+
 def test_unwritable_output(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An output that cannot be opened is exit code 2."""
     assert run(arguments(data, "--out", "/absent/folder/out.pos")) == 2

@@ -3,8 +3,13 @@
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import radians
+from typing import Final
 
 from rtkmesh.errors import OptionError
+
+# Of unknown length; with fewer, what passes a ratio of 3 is wrong more often than right: 81 % of four, 97 % of three ambiguities of single
+# epochs of a recorded pair (benchmarks/attitude_subsets.py measures it on our engine).
+LEAST_AMBIGUITIES: Final = 5
 
 
 class Mode(StrEnum):
@@ -72,7 +77,7 @@ class AmbiguityOptions:
     ratio: float = 3.0  # scales the confidence asked for: 3 is our default, 2 asks for less, 4 for more (validation.confidence)
     elevation_mask_rad: float = radians(15.0)  # that of the filter: what is low is weighted by its elevation
     minimum_lock_epochs: int = 0  # an ambiguity that begins has the variance of its code, and the odds know it
-    minimum_ambiguities: int = 5  # with fewer, ratio 3 passes are wrong more often than right (measured)
+    minimum_ambiguities: int = LEAST_AMBIGUITIES
     hold_variance_cyc2: float = 0.1  # RTKLIB's varholdamb: a third of a cycle, so that a float solution can still object
     hold_after_epochs: int = 20  # confirmations before fix-and-hold tells the filter: as many as minfix in demo5's files
     failure_rate: float = 1.0  # fixes that are wrong with a higher probability are given as floats; 1: none (docs/concepts/integrity.md)
@@ -134,5 +139,8 @@ class RtkOptions:
             raise OptionError(f"systems has unknown letters {''.join(sorted(unknown))!r}; known are GRECJSI")
         if self.mode is Mode.FIXED and self.fixed_position_ecef_m is None:
             raise OptionError("mode 'fixed' needs fixed_position_ecef_m")
+        if self.ambiguity.minimum_ambiguities < LEAST_AMBIGUITIES and self.baseline_length_m is None:
+            count = self.ambiguity.minimum_ambiguities
+            raise OptionError(f"minimum_ambiguities is {count}: fewer than {LEAST_AMBIGUITIES} are believed only with baseline_length_m")
         if self.ambiguity.failure_rate < 1.0 and not self.integrity.enabled:
             raise OptionError("a failure rate needs integrity: nothing else says how probably a fix is wrong")

@@ -172,6 +172,7 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
         raise SourceError(f"mode 'fixed' needs the rover's position: {where}")
     position = _base_position(request) or (told.base_ecef_m if told else None)
 
+    from rtkmesh.errors import OptionError
     from rtkmesh_services.cli.offline import Run, SolutionType, open_inputs
     from rtkmesh_services.cli.recordings import day_of
     from rtkmesh_services.cli.solve_display import ProgressBar, report
@@ -179,7 +180,10 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
 
     date = day_of(request.date) if request.date else None
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date, request.receiver_options)
-    options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
+    try:
+        options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
+    except OptionError as error:
+        raise SourceError(f"{file}: {error}" if (file := request.config or request.conf) else str(error)) from error
     run = Run(inputs, options, SolutionType(request.direction or "forward"), causal=request.causal)
     gc.freeze()  # what is loaded by now stays: looking through it again and again was a seventh of a short run
     try:
