@@ -13,7 +13,8 @@ from rtkmesh.codecs.messages import DecodingCounters
 
 LIMIT_S: Final = 0.002  # of one frame (reliability.md, fault 19)
 GROWTH_BYTES: Final = 8 << 20  # that resident memory may differ by: the allocator's own grain
-_REPLAYS: Final = 2  # of a run with slow pieces: the same pieces meet the same state, and the shortest time counts
+_REPLAYS: Final = 3  # of a run with slow pieces: the same pieces meet the same state, and the shortest time counts
+_YARDSTICK_S: Final = 0.001  # that an ordinary machine takes for the yardstick
 _NOTES: Final = (  # of frames that are decoded: refusals of a part of them, or of the epoch that they belong to
     "cell of unknown", "unknown signal", "epoch ", "late or ", "redundant",
 )  # fmt: skip
@@ -105,6 +106,15 @@ def _timed(feed: Callable[[bytes], Any], piece: bytes) -> float:
     return thread_time() - started
 
 
+def _slowness() -> float:
+    """Return how many times as long as on an ordinary machine anything takes now (1 at least): a neighbour may have the caches."""
+    words = {}
+    started = thread_time()
+    for number in range(5000):
+        words[str(number)] = [number]
+    return max(1.0, (thread_time() - started) / _YARDSTICK_S)
+
+
 def _count(outcome: Outcome, number: int, size: int, took: float, limit_s: float) -> None:
     outcome.pieces += 1
     outcome.bytes += size
@@ -116,7 +126,7 @@ def _count(outcome: Outcome, number: int, size: int, took: float, limit_s: float
 
 
 def _judge_time(target: Target, outcome: Outcome, seed: int) -> None:
-    """Play a run with slow pieces again; those that are slow each time are failures."""
+    """Play a run with slow pieces again; those that are slow each time, for a machine as it is in that moment, are failures."""
     for _ in range(_REPLAYS):
         if not outcome.slow:
             return
@@ -124,7 +134,7 @@ def _judge_time(target: Target, outcome: Outcome, seed: int) -> None:
         for number, piece in enumerate(islice(target.pieces(seed), max(outcome.slow) + 1)):
             took = _timed(reader.feed, piece)
             if number in outcome.slow:
-                outcome.slow[number] = min(took, outcome.slow[number])
+                outcome.slow[number] = min(took / _slowness(), outcome.slow[number])
         quick = {number: took for number, took in outcome.slow.items() if took <= target.limit_s}
         outcome.slow = {number: took for number, took in outcome.slow.items() if number not in quick}
         outcome.worst_s = max(outcome.worst_s, *quick.values(), 0.0)
