@@ -189,6 +189,7 @@ def quantiles(stamps: Stamps, told: dict[str, Any], tables: dict[str, Any]) -> d
 def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--rate", type=float, default=2.0), p.add_argument("--seconds", type=float, default=40.0)
+    p.add_argument("--data", help="not used: all is simulated")
     p.add_argument("--json", action="store_true"), p.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     o = p.parse_args()
     if o.child:

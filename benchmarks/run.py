@@ -55,6 +55,9 @@ BENCHMARKS = (
     Benchmark("heading", "heading.py", "How a heading repeats, beside RTKLIB's", ("--quick",)),
     Benchmark("attitude_age", "attitude_age.py", "What an old base does to a heading, beside RTKLIB's", ("--quick",), recordings=False),
     Benchmark("attitude", "attitude.py", "Two, three and four simulated antennas against the truth", ("--quick",), recordings=False),
+    Benchmark(
+        "attitude_stages", "attitude_stages.py", "From the last byte to the attitude, as processes", ("--seconds", "10"), recordings=False
+    ),
     Benchmark("attitude_filter", "attitude_filter.py", "Attitude filters: errors, honesty, outages", ("--quick",), recordings=False),
     Benchmark("four_antennas", "four_antennas.py", "Attitude of four antennas in motion, with faults", ("--quick",)),
     Benchmark("attitude_search", "attitude_search.py", "Attitude from single epochs with known geometry", ("--quick",), recordings=False),

@@ -36,7 +36,7 @@ tables = st.builds(
         ratio=rounded.map(lambda value: value + 1.0),
         elevation_mask_deg=rounded,
         minimum_lock_epochs=st.integers(0, 100),
-        minimum_ambiguities=st.integers(3, 20),
+        minimum_ambiguities=st.integers(5, 20),
         hold_after_epochs=st.integers(1, 100),
     ),
 )

@@ -61,6 +61,50 @@ def test_formats_agree(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert (first[:2], other[:2]) == (["2021/03/19", "12:00:59.000"], ["2149", "475259.000"])
 
 
+@pytest.mark.data
+@pytest.mark.slow
+def test_velocities_and_accelerations(data: Path, tmp_path: Path) -> None:
+    """Of a receiver that stands: rtkrcv_ros's vel_enu, RTKLIB's columns and JSON say the same, with covariances in both frames."""
+    paths = {name: tmp_path / name for name in ("vel_enu", "llh", "xyz", "json")}
+    for name, path in paths.items():
+        more = ["--velocity"] if name in ("llh", "xyz") else []
+        assert run(arguments(data, f"--base-ecef={BASE_ECEF_M}", "--format", name, *more, "--out", str(path), "--quiet")) == 0
+    told = [json.loads(line) for line in paths["json"].read_text().splitlines()]
+    assert [len(rows(paths[name])) for name in ("vel_enu", "llh", "xyz")] == [len(told)] * 3 == [60] * 3
+    assert "V_East(m/s)" in paths["vel_enu"].read_text()
+    assert "vn(m/s)" in paths["llh"].read_text()
+    assert "vx(m/s)" in paths["xyz"].read_text()
+    last, llh, xyz, enu = told[-1], *(rows(paths[name])[-1] for name in ("llh", "xyz", "vel_enu"))
+    east, north, up = last["velocity_enu_mps"]
+    assert [float(v) for v in llh[15:18]] == pytest.approx([north, east, up], abs=1e-5)
+    assert [float(v) for v in xyz[15:18]] == pytest.approx(last["velocity_ecef_mps"], abs=1e-5)
+    assert [float(v) for v in enu[2:5]] == pytest.approx([east, north, up], abs=1e-3), "in the base's horizon, 5 km away"
+    speeds_mps = [np.linalg.norm(one["velocity_ecef_mps"]) for one in told]
+    assert 0.0 < np.median(speeds_mps) < 0.05
+    for quantity in ("velocity_cov_{}_m2ps2", "acceleration_cov_{}_m2ps4", "position_cov_{}_m2"):
+        ecef, local = (np.reshape(last[quantity.format(frame)], (3, 3)) for frame in ("ecef", "enu"))
+        assert np.linalg.eigvalsh(ecef) == pytest.approx(np.linalg.eigvalsh(local), rel=1e-6)
+        assert np.linalg.eigvalsh(local).min() > 0.0
+        assert np.abs(local - np.diag(np.diag(local))).max() > 0.0
+    assert np.linalg.norm(last["acceleration_ecef_mps2"]) == pytest.approx(np.linalg.norm(last["acceleration_enu_mps2"]))
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("word", ["off", "instantaneous", "continuous", "fix-and-hold"])
+def test_ways_with_ambiguities(data: Path, tmp_path: Path, word: str) -> None:
+    """The header says which; without integers nothing is fixed, of each epoch alone nothing is remembered (grade 1)."""
+    out = tmp_path / "out.json"
+    arguments_ = arguments(data, f"--base-ecef={BASE_ECEF_M}", "--ambiguity", word, "--quiet")
+    assert run([*arguments_, "--format", "json", "--out", str(out)]) == 0
+    told = [json.loads(line) for line in out.read_text().splitlines()]
+    grades = {one["grade"] for one in told if one["status_name"] == "FIX"}
+    assert grades == {"off": set(), "instantaneous": {1}}.get(word, {1, 2, 3})
+    pos = tmp_path / "out.pos"
+    assert run([*arguments_, "--out", str(pos)]) == 0
+    assert f"% amb res   : {word}\n" in pos.read_text()
+
+
 @pytest.mark.e2e
 @pytest.mark.data
 def test_backward_and_combined(data: Path, tmp_path: Path) -> None:
@@ -144,6 +188,9 @@ def test_no_solution_is_exit_code_1(data: Path, capsys: pytest.CaptureFixture[st
         (["--rover", "r", "--base", "b", "--config", "absent.toml"], "absent.toml: no such file"),
         (["--rover", "r", "--base", "b", "--base-ecef", "-1,2,x"], "--base-ecef=-1,2,x is not three numbers"),
         (["--rover", "r", "--mode", "single", "--format", "enu"], "mode 'single' has none"),
+        (["--rover", "r", "--mode", "single", "--format", "vel_enu"], "mode 'single' has none"),
+        (["--rover", "r", "--base", "b", "--format", "enu", "--velocity"], "--velocity: columns of llh and xyz"),
+        (["--rover", "r", "--base", "b", "--ambiguity", "fix-and-holt"], "fix-and-hold"),
         (["--rover", "r", "--mode", "single", "--direction", "combined"], "mode 'single' has no memory"),
         (["--rover", "r", "--base", "b", "--direction", "sideways"], "backward"),
         (["--rover", "r", "--base", "b", "--mode", "fixed"], "fixed_position_ecef_m"),
@@ -166,6 +213,17 @@ def test_configuration_faults_are_named(tmp_path: Path, capsys: pytest.CaptureFi
     message = capsys.readouterr().err
     assert "solver.toml:4" in message
     assert "elevation_mask_deg" in message
+
+
+@pytest.mark.data
+def test_options_that_contradict_each_other_are_told_with_their_file(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What only the engine sees: too few ambiguities for a baseline whose length nobody knows."""
+    config = tmp_path / "few.toml"
+    config.write_text('[solver]\nrover = "rover"\nbase = "base"\nambiguity.minimum_ambiguities = 4\n')
+    assert run(arguments(data, "--config", str(config))) == 2
+    assert f"{config}: minimum_ambiguities is 4" in capsys.readouterr().err
 
 
 def test_unwritable_output(data: Path, capsys: pytest.CaptureFixture[str]) -> None:

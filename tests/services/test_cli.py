@@ -5,6 +5,7 @@ import os
 import resource
 import subprocess
 import sys
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from rtkmesh_schemas.command import Code, Reply
 from rtkmesh_schemas.observation import Observation
+from rtkmesh_schemas.status import ServiceStatus, State
 from rtkmesh_schemas.wire import encode, encoding_of
 from rtkmesh_services.cli.check import check
 from rtkmesh_services.cli.cmd import show_reply
@@ -118,6 +120,15 @@ def test_echo_decodes_our_messages():
     value = json.loads(line_of(observation()))["value"]
     assert (value["satellite"], value["channel"], value["flags"], value["cn0_dbhz"]) == (["G01", "R02"], [127, -1], [0, 3], [1.5, 1.5])
     assert "cn0_dbhz: [1.5,1.5]" in page_of(observation())
+
+
+def test_echo_tells_what_is_not_bounded_from_what_is_not_known():
+    """For people; JSON has null for both."""
+    message = ServiceStatus(
+        id="a", role="solver", state=State.RUNNING, start_id="s", heartbeat=1, data={"levels": [inf, nan, -0.5, None, "x"]}
+    )
+    page = page_of(Sample("rtk/a/status", encode(message), encoding_of(ServiceStatus), b"", 0))
+    assert 'data: {"levels":[inf,nan,-0.5,null,"x"]}' in page
 
 
 def test_echo_shows_foreign_messages_raw_and_harmless():

@@ -8,8 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtkmesh.errors import OptionError
+from rtkmesh.rtk.options import AmbiguityOptions, RtkOptions
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.keys import Role
+from rtkmesh_services.mapping.options import rtk_options
 from rtkmesh_services.runtime.configuration import (
     ConfigErrors,
     find_data_folder,
@@ -111,6 +114,8 @@ MISTAKES = [
     ("matched_only = true", "matched_only = 1", 20, ["[solver.rtk.sync] matched_only", "true or false"]),
     ('"continuous"', '"continous"', 23, ["[solver.rtk.ambiguity] mode", "did you mean 'continuous'"]),
     ("ratio = 3.0", "ratoi = 3.0", 24, ["[solver.rtk.ambiguity] unknown key 'ratoi'", "'ratio'"]),
+    ("ratio = 3.0", "minimum_ambiguities = 4", 24, ["[solver.rtk.ambiguity] minimum_ambiguities: fewer than 5", "'baseline_length_m'"]),
+    ("ratio = 3.0", "failure_rate = 0.1\n[solver.rtk.integrity]\nenabled = false", 24, ["failure_rate needs [integrity] enabled"]),
     ("[solver.rtk.ambiguity]", "[solver.rtk.ambigity]", 22, ["[solver.rtk] unknown key 'ambigity'", "'ambiguity'"]),
     ('solver = "rtk"', 'solver = "rt"', 31, ["[attitude.heading] solver: no [solver.rt]", "did you mean 'rtk'"]),
     ("length_m = 1.0", "length_m = 0.0", 32, ["length_m", "> 0.0"]),
@@ -127,6 +132,17 @@ def test_a_mistake_is_named_with_its_line_and_the_right_name(right: str, wrong: 
     assert messages, [str(error) for error in found]
     assert messages[0].line == line
     assert str(messages[0]).startswith(f"f.toml:{line}: ")
+
+
+def test_few_ambiguities_are_enough_where_the_length_is_known():
+    """Of a moving base; the engine takes them too."""
+    few = GOOD.replace("ratio = 3.0", "minimum_ambiguities = 4")
+    known = few.replace("max_age_s = 30", "baseline_length_m = 1.0").replace('"kinematic"', '"moving-base"')
+    assert errors_of(few)
+    assert not errors_of(known)
+    assert rtk_options(parse_deployment(known, "f.toml").solver["rtk"]).ambiguity.minimum_ambiguities == 4
+    with pytest.raises(OptionError, match="fewer than 5 are believed only with baseline_length_m"):
+        RtkOptions(ambiguity=AmbiguityOptions(minimum_ambiguities=4))
 
 
 def test_all_faults_are_told_at_once():

@@ -39,22 +39,22 @@ class FilterOptions:
     """
 
     kind: Kind = Kind.ROTATION
-    rate_walk_radps_rts: float = 0.2
-    rate_sigma_radps: float = 0.5
-    bias_sigma_radps: float = 0.02
-    bias_walk_radps_rts: float = 1e-4
-    level_sigma_rad: float = radians(10.0)
-    correlation_s: float = 0.0
-    false_alarm: float = 1e-4
-    persistence: int = 5
-    accept_float: bool = False
-    accept_unchecked: bool = True
-    max_coast_s: float = 10.0
-    max_heading_sigma_rad: float = radians(5.0)
-    max_tilt_sigma_rad: float = radians(45.0)
-    max_measured_sigma_rad: float = radians(20.0)
-    history_s: float = 1.0
-    stuck_samples: int = 10
+    rate_walk_radps_rts: float = 0.2  # 0.03 to 10 times it are learned: from a ship to a drone
+    rate_sigma_radps: float = 0.5  # a vehicle may be in a turn of 30 deg/s when it is seen first
+    bias_sigma_radps: float = 0.02  # MEMS gyros: a degree a second when they are switched on
+    bias_walk_radps_rts: float = 1e-4  # and a minute of warming up moves that by 0.05 deg/s
+    level_sigma_rad: float = radians(10.0)  # slopes and waves of ground vehicles and boats
+    correlation_s: float = 0.0  # how long multipath lasts is not known here, and a vehicle that moves leaves it behind
+    false_alarm: float = 1e-4  # at 10 Hz one good fix in a quarter of an hour, which the next one replaces
+    persistence: int = 5  # half a second at 10 Hz: reflections that agree with each other for so long are rare, turns are not
+    accept_float: bool = False  # floats are decimetres off: tens of degrees on a metre
+    accept_unchecked: bool = True  # two antennas have nothing that could check them
+    max_coast_s: float = 10.0  # a gyro has lost 0.3 deg by then; without one there is no attitude left long before (RESULTS.md)
+    max_heading_sigma_rad: float = radians(5.0)  # more is no help to steering
+    max_tilt_sigma_rad: float = radians(45.0)  # headings alone say nothing of tilt: level is assumed, which is no reason to say nothing
+    max_measured_sigma_rad: float = radians(20.0)  # beyond it the small angles that the covariance is made of are not small
+    history_s: float = 1.0  # the wait for late bases and candidates, and what a busy host adds
+    stuck_samples: int = 10  # noise of a living gyro does not repeat ten times to the last digit
 
     def __post_init__(self) -> None:
         for name in (field.name for field in fields(self)):

@@ -3,8 +3,13 @@
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import radians
+from typing import Final
 
 from rtkmesh.errors import OptionError
+
+# Of unknown length; with fewer, what passes a ratio of 3 is wrong more often than right: 81 % of four, 97 % of three ambiguities of single
+# epochs of a recorded pair (benchmarks/attitude_subsets.py measures it on our engine).
+LEAST_AMBIGUITIES: Final = 5
 
 
 class Mode(StrEnum):
@@ -49,6 +54,8 @@ class NoiseOptions:
 class DynamicsOptions:
     """Process noise of the moving states (per square root of second)."""
 
+    # By so much a step, a brake or a turn changes the acceleration within a second, vertically by half of it. RTKLIB's default is 10,
+    # demo5's files say 3 and 1.
     acceleration_horizontal_mps2: float = 3.0
     acceleration_vertical_mps2: float = 1.5
     ambiguity_cyc: float = 4e-3  # coloured code noise must not freeze the float (with 1e-4 the float stays wrong and sure of it)
@@ -68,11 +75,11 @@ class AmbiguityOptions:
 
     mode: AmbiguityMode = AmbiguityMode.CONTINUOUS
     ratio: float = 3.0  # scales the confidence asked for: 3 is our default, 2 asks for less, 4 for more (validation.confidence)
-    elevation_mask_rad: float = radians(15.0)
-    minimum_lock_epochs: int = 0
-    minimum_ambiguities: int = 5  # with fewer, ratio 3 passes are wrong more often than right (measured)
-    hold_variance_cyc2: float = 0.1
-    hold_after_epochs: int = 20  # confirmations before fix-and-hold tells the filter
+    elevation_mask_rad: float = radians(15.0)  # that of the filter: what is low is weighted by its elevation
+    minimum_lock_epochs: int = 0  # an ambiguity that begins has the variance of its code, and the odds know it
+    minimum_ambiguities: int = LEAST_AMBIGUITIES
+    hold_variance_cyc2: float = 0.1  # RTKLIB's varholdamb: a third of a cycle, so that a float solution can still object
+    hold_after_epochs: int = 20  # confirmations before fix-and-hold tells the filter: as many as minfix in demo5's files
     failure_rate: float = 1.0  # fixes that are wrong with a higher probability are given as floats; 1: none (docs/concepts/integrity.md)
 
     def __post_init__(self) -> None:
@@ -85,9 +92,12 @@ class IntegrityOptions:
     """Protection levels and the integrity flag: see docs/concepts/integrity.md."""
 
     enabled: bool = True
-    risk: float = 1e-5  # per epoch, that the position is off by more than its protection levels
+    # Per epoch, that the position is off by more than its protection levels: nothing smaller can be contradicted by the 1e5 epochs of the
+    # campaigns that there are.
+    risk: float = 1e-5
+    # Our choice, a robot's own size: of simulated fixes on two bands under open sky 98 % are within it, of floats none.
     alert_horizontal_m: float = 1.0
-    alert_vertical_m: float = 2.0
+    alert_vertical_m: float = 2.0  # heights are about twice as bad
 
     def __post_init__(self) -> None:
         if not 1e-12 <= self.risk <= 0.1:
@@ -105,15 +115,15 @@ class RtkOptions:
     ``excluded`` are RINEX ids. ``code_only_systems`` never enter the integer search.
     """
 
-    mode: Mode = Mode.KINEMATIC
-    systems: str = "GREJC"
-    frequencies: int = 2
-    elevation_mask_rad: float = radians(15.0)
-    cn0_mask_dbhz: float = 0.0
-    max_age_s: float = 30.0
+    mode: Mode = Mode.KINEMATIC  # a robot moves; what does not is found as well, only later
+    systems: str = "GREJC"  # those that receivers send phases of; NavIC and SBAS must be asked for
+    frequencies: int = 2  # what robots' receivers have; a third takes twice the time, and two are fixed in the first epoch under open sky
+    elevation_mask_rad: float = radians(15.0)  # RTKLIB's; lower down a patch antenna hears the ground as well
+    cn0_mask_dbhz: float = 0.0  # none: a weak signal gets its variance by C/N0 (``noise.cn0_factor``)
+    max_age_s: float = 30.0  # RTKLIB's; satellite clocks may be 4.5 cm off by then (``noise.CLOCK_DRIFT_MPS``), which the variances know
     time_tolerance_s: float = 0.025  # rover and base tags of one epoch differ by receiver clock steering
     baseline_length_m: float | None = None
-    baseline_sigma_m: float = 0.01
+    baseline_sigma_m: float = 0.01  # of a tape, centre to centre
     fixed_position_ecef_m: tuple[float, float, float] | None = None
     excluded: tuple[str, ...] = ()
     noise: NoiseOptions = field(default_factory=NoiseOptions)
@@ -129,5 +139,8 @@ class RtkOptions:
             raise OptionError(f"systems has unknown letters {''.join(sorted(unknown))!r}; known are GRECJSI")
         if self.mode is Mode.FIXED and self.fixed_position_ecef_m is None:
             raise OptionError("mode 'fixed' needs fixed_position_ecef_m")
+        if self.ambiguity.minimum_ambiguities < LEAST_AMBIGUITIES and self.baseline_length_m is None:
+            count = self.ambiguity.minimum_ambiguities
+            raise OptionError(f"minimum_ambiguities is {count}: fewer than {LEAST_AMBIGUITIES} are believed only with baseline_length_m")
         if self.ambiguity.failure_rate < 1.0 and not self.integrity.enabled:
             raise OptionError("a failure rate needs integrity: nothing else says how probably a fix is wrong")

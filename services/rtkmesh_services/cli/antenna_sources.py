@@ -48,12 +48,13 @@ class Series:
     not_fixed: int = 0
 
 
-def named(text: str, flag: str) -> Named:
+def named(text: str, flag: str = "") -> Named:
     """Return the parts of ``NAME=WHAT`` or ``FROM-TO=WHAT``; SourceError if it is neither."""
     name, _, what = text.partition("=")
     start, dash, end = name.partition("-")
     if not name or not what or (dash and not (start and end)) or start == end:
-        raise SourceError(f"{flag} {text}: say NAME=... for positions of an antenna, or FROM-TO=... for baselines between two")
+        given = f"{flag} {text}".lstrip()
+        raise SourceError(f"{given}: say NAME=... for positions of an antenna, or FROM-TO=... for baselines between two")
     return Named(start=start if dash else None, end=end if dash else name, what=what)
 
 

@@ -92,7 +92,7 @@ def _series(files: tuple[str, ...], request: Request) -> list["Series"]:
     """Return what is to be used: files, recordings and running solvers may be mixed."""
     from rtkmesh_services.cli.antenna_sources import Solving, from_network, from_pos, from_recordings, named
 
-    found = [from_pos(named(text, ""), floats=request.floats) for text in files]
+    found = [from_pos(named(text), floats=request.floats) for text in files]
     if request.rover:
         shown = not request.quiet and sys.stderr.isatty()
         solving = Solving(nav=request.nav, date=request.date, frequencies=request.frequencies, floats=request.floats, shown=shown)

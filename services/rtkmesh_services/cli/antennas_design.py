@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from rtkmesh_services.cli.network import Json
 from rtkmesh_services.errors import SourceError
+from rtkmesh_services.runtime.words import nearest
 
 if TYPE_CHECKING:
     from rtkmesh.attitude.design import Design, Noise, Sigmas
@@ -57,7 +58,7 @@ class Request:
 
 
 def design(
-    *files: Annotated[Path, Parameter(help="TOML with [attitude.ID.antennas.NAME] tables.")],
+    *files: Annotated[Path, Parameter(help=r"TOML with \[attitude.ID.antennas.NAME] tables.")],
     request: Annotated[Request, Parameter(name="*")] = Request(),
 ) -> int:
     """Tell what a layout of antennas will give: sigmas, what the loss of each antenna leaves, the smallest faults that are found.
@@ -128,15 +129,18 @@ def _told(texts: tuple[str, ...]) -> "Layout":
     from rtkmesh_services.cli.antenna_sources import three
 
     parts = [text.partition("=") for text in texts]
-    if not all(name and dash for name, dash, _ in parts):
-        raise SourceError("--antenna: say NAME=F,R,D")
-    return Layout(tuple(name for name, _, _ in parts), np.array([three("--antenna", place) for _, _, place in parts]))
+    if bad := [text for text, (name, dash, _) in zip(texts, parts, strict=True) if not (name and dash)]:
+        raise SourceError(f"--antenna {bad[0]}: say NAME=F,R,D")
+    return Layout(tuple(name for name, _, _ in parts), np.array([three(f"--antenna {name}:", place) for name, _, place in parts]))
 
 
 def _preset(text: str) -> "Layout":
-    from rtkmesh.attitude.presets import preset
+    from rtkmesh.attitude.presets import PRESETS, preset
 
     name, _, size = text.partition(":")
+    if name not in PRESETS:
+        hint = nearest(name, list(PRESETS)) or f"; there are {', '.join(PRESETS)}"
+        raise SourceError(f"--preset {text}: there is no layout {name!r}{hint}")
     try:
         return preset(name, float(size or "1"))
     except ValueError:

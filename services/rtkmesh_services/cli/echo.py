@@ -3,7 +3,7 @@
 import struct
 import sys
 import time
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, cast
 
 import msgspec
 from cyclopts import Parameter
@@ -125,8 +125,20 @@ def _column(code: str, data: bytes) -> list[Any]:
 
 
 def _short(value: Any) -> str:
-    text = msgspec.json.encode(value).decode() if isinstance(value, (list, tuple, dict)) else str(value)
+    text = _text(value) if isinstance(value, (list, tuple, dict)) else str(value)
     return text if len(text) <= 400 else f"{text[:400]} ..."  # an epoch has hundreds of numbers
+
+
+def _text(value: Any) -> str:
+    """Return what JSON writes, but nan and inf as they are: one is not known, the other not bounded, and JSON has null for both."""
+    if isinstance(value, float):
+        return str(value)
+    if isinstance(value, (list, tuple)):
+        return f"[{','.join(map(_text, cast('list[Any]', value)))}]"
+    if isinstance(value, dict):
+        items = cast("dict[str, Any]", value).items()
+        return f"{{{','.join(f'{_text(name)}:{_text(item)}' for name, item in items)}}}"
+    return msgspec.json.encode(value).decode()
 
 
 app = command_page(echo, _EXAMPLES)

@@ -76,6 +76,7 @@ class Tally:
     last: GpsTime | None = None
     first_fix_s: float | None = None
     largest_age_s: float = 0.0
+    resets: int = 0
     solving_s: float = 0.0
     total_s: float = 0.0
 
@@ -91,6 +92,8 @@ class Tally:
             self.first_fix_s = abs(solution.time - self.first)
         if solution.age_s > self.largest_age_s:
             self.largest_age_s = solution.age_s
+        if solution.resets > self.resets:
+            self.resets = solution.resets
 
     @property
     def solved(self) -> int:
@@ -109,6 +112,7 @@ class Tally:
             **{f"{status.name.lower()}_pct": round(self.percent(status), 3) for status in Status},
             "first_fix_s": self.first_fix_s,
             "largest_age_s": round(self.largest_age_s, 3),
+            "resets": self.resets,
             "reasons": {reason.name.lower(): count for reason, count in sorted(self.reasons.items())},
             "solve_ms_per_epoch": round(1e3 * self.solving_s / max(1, self.epochs), 4),
             "total_s": round(self.total_s, 3),

@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from rtkmesh.rtk.solution import Solution
     from rtkmesh_services.cli.offline import Run
     from rtkmesh_services.cli.solve_conf import ConfOptions
+    from rtkmesh_services.output.text_feed import Writer
 
 Position = tuple[float, float, float]
+FormName = Literal["llh", "xyz", "enu", "vel_enu", "json"]
+AmbiguityName = Literal["off", "instantaneous", "continuous", "fix-and-hold"]
 
 _SOLVED, _UNSOLVED = 0, 1
 # key of the solver table -> flag and what it allows (cyclopts checks --mode itself)
@@ -36,12 +39,16 @@ _FLAGS_OF_KEYS = {
 }
 
 
+# what forms other than llh and xyz have of velocities
+_VELOCITY_OF = {"enu": "has none, as RTKLIB's", "vel_enu": "is the velocity", "json": "has it anyway"}
+
 _EXAMPLES = """
 rtkmesh solve --rover rover.obs --base base.obs --nav base.nav --out rover.pos
 rtkmesh solve --rover rover.ubx --base base.ubx --base-llh 52.1,4.4,43.2
 rtkmesh solve --rover rover.rtcm3 --base base.rtcm3 --date 2018-07-14 --json
 rtkmesh solve --mode moving-base --rover front.ubx --base rear.ubx --format enu
 rtkmesh solve --direction combined --rover rover.ubx --base base.ubx --out rover.pos
+rtkmesh solve --rover rover.ubx --base base.ubx --format json --quiet
 rtkmesh solve --mode single --rover rover.ubx.gz
 rtkmesh solve --conf rnx2rtkp.conf --rover rover.obs --base base.obs --nav base.nav
 """
@@ -78,6 +85,13 @@ class Request:
         str | None,
         Parameter(help="Systems used, as RINEX letters: G GPS, R GLONASS, E Galileo, C BeiDou, J QZSS, I NavIC. Default: GREJC."),
     ] = None
+    ambiguity: Annotated[
+        AmbiguityName | None,
+        Parameter(
+            help="Integer ambiguities: none, of each epoch alone, kept as long as they last, or also told to the filter when they have "
+            "proven themselves. Default: continuous."
+        ),
+    ] = None
     elmask: Annotated[float | None, Parameter(help="Elevation mask in degrees. Default: 15.")] = None
     base_ecef: Annotated[
         str | None,
@@ -108,9 +122,16 @@ class Request:
         Parameter(help="RTKLIB's .conf file, of either dialect, instead of --config: what rnx2rtkp would do with -k. Flags overrule it."),
     ] = None
     out: Annotated[Path | None, Parameter(help="The .pos file. Default: standard output.")] = None
-    coordinates: Annotated[
-        Literal["llh", "xyz", "enu"] | None,
-        Parameter(name="--format", help="Coordinates: geodetic, ECEF, or the baseline east-north-up. Default: llh."),
+    form: Annotated[
+        FormName | None,
+        Parameter(
+            name="--format",
+            help="Geodetic coordinates, ECEF, the baseline east-north-up, the velocity east-north-up, or a line of JSON with all that is "
+            "known of an epoch: velocity and acceleration with full covariances, grade, probability, protection levels. Default: llh.",
+        ),
+    ] = None
+    velocity: Annotated[
+        bool | None, Parameter(negative="", show_default=False, help="Columns of velocity and its deviations behind those of llh and xyz.")
     ] = None
     time_form: Annotated[
         Literal["calendar", "tow"] | None, Parameter(help="Date and time of day, or GPS week and seconds of week. Default: calendar.")
@@ -135,6 +156,8 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
 
     Exit codes: 0 solved, 1 not one epoch could be solved, 2 wrong usage or a file that cannot be read.
     """
+    if request.velocity and request.form not in (None, "llh", "xyz"):
+        raise SourceError(f"--velocity: columns of llh and xyz; --format {request.form} {_VELOCITY_OF[request.form]}")
     told = _conf_of(request)
     request = _completed(request, told)
     table, folder = _solver_table(request, told)
@@ -142,13 +165,14 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
         raise SourceError(f"mode '{table.mode}' needs --base (or say --mode single)")
     if table.mode == "single" and request.direction != "forward":
         raise SourceError(f"--direction {request.direction}: mode 'single' has no memory, all directions are the same")
-    if table.mode == "single" and request.coordinates == "enu":
-        raise SourceError("--format enu is the baseline from the base, and mode 'single' has none")
+    if table.mode == "single" and request.form in ("enu", "vel_enu"):
+        raise SourceError(f"--format {request.form} is in the horizon of the base, and mode 'single' has none")
     if table.mode == "fixed" and table.fixed_position_ecef_m is None:
         where = "fixed_position_ecef_m in the [solver] table of a --config file, or ant1-pos1 of a --conf file"
         raise SourceError(f"mode 'fixed' needs the rover's position: {where}")
     position = _base_position(request) or (told.base_ecef_m if told else None)
 
+    from rtkmesh.errors import OptionError
     from rtkmesh_services.cli.offline import Run, SolutionType, open_inputs
     from rtkmesh_services.cli.recordings import day_of
     from rtkmesh_services.cli.solve_display import ProgressBar, report
@@ -156,7 +180,10 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
 
     date = day_of(request.date) if request.date else None
     inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date, request.receiver_options)
-    options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
+    try:
+        options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
+    except OptionError as error:
+        raise SourceError(f"{file}: {error}" if (file := request.config or request.conf) else str(error)) from error
     run = Run(inputs, options, SolutionType(request.direction or "forward"), causal=request.causal)
     gc.freeze()  # what is loaded by now stays: looking through it again and again was a seventh of a short run
     try:
@@ -185,7 +212,8 @@ def _completed(request: Request, told: "ConfOptions | None") -> Request:
     return replace(
         request,
         direction=request.direction or (told.direction if told else "forward"),
-        coordinates=request.coordinates or (told.coordinates if told else "llh"),
+        form=request.form or (told.form if told else "llh"),
+        velocity=request.velocity if request.velocity is not None else (told.velocity if told else False),
         time_form=request.time_form or (told.time_form if told else "calendar"),
     )
 
@@ -201,6 +229,7 @@ def _solver_table(request: Request, told: "ConfOptions | None") -> tuple[SolverT
     table, folder = (told.solver, told.folder) if told else (SolverTable(rover="rover"), Path())
     table, folder = _configured(request.config) if request.config else (table, folder)
     content = msgspec.to_builtins(table) | {name: value for name, value in flags.items() if value is not None}
+    content["ambiguity"] |= {"mode": request.ambiguity} if request.ambiguity is not None else {}
     content |= {"rover": "rover", "base": "base", "navigation": [f"nav{k}" for k in range(len(request.nav))]}
     try:
         return msgspec.convert(content, SolverTable), folder
@@ -279,18 +308,27 @@ def _output(request: Request) -> AbstractContextManager[TextIO | None]:
 def _write(run: "Run", results: "Iterator[Solution]", request: Request, output: TextIO | None) -> None:
     """Write the header before the first solution, then a line per solution as it comes."""
     from rtkmesh_services.mapping.solution import solution_message
-    from rtkmesh_services.texts import TextAbout, TextOptions, TextWriter
+    from rtkmesh_services.texts import TextAbout
 
-    time_form = "tow" if request.time_form == "tow" else "hms"
-    writer = TextWriter(TextOptions(format=request.coordinates or "llh", time_form=time_form, line_end="lf"))
-    headed = False
-    for solution in results:
+    writer, headed = _writer(request), False
+    for sequence, solution in enumerate(results):
         if output is None:
             continue
         if not headed:
             output.write(writer.header(TextAbout(f"rtkmesh {__version__}", _notes(run, solution))).decode())
             headed = True
-        output.write(writer.text(solution_message(solution, source="", start_id="", sequence=0)))
+        message = solution_message(solution, source="", start_id="", sequence=sequence, mode=run.options.rtk.mode.value)
+        output.write(writer.epoch(message).decode())
+
+
+def _writer(request: Request) -> "Writer":
+    from rtkmesh_services.output.text_feed import JsonWriter
+    from rtkmesh_services.texts import TextOptions, TextWriter
+
+    if request.form == "json":
+        return JsonWriter()
+    time_form = "tow" if request.time_form == "tow" else "hms"
+    return TextWriter(TextOptions(format=request.form or "llh", time_form=time_form, velocity=bool(request.velocity), line_end="lf"))
 
 
 def _notes(run: "Run", first: "Solution") -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ from typing import Final, Literal, cast
 from rtkmesh_schemas.config import SolverTable
 
 Direction = Literal["forward", "backward", "combined"]
-Coordinates = Literal["llh", "xyz", "enu"]
+Form = Literal["llh", "xyz", "enu"]
 TimeForm = Literal["calendar", "tow"]
 _FORMATS: Final = ("llh", "xyz", "enu")
 
@@ -20,7 +20,8 @@ class ConfOptions:
     solver: SolverTable
     folder: Path
     direction: Direction
-    coordinates: Coordinates
+    form: Form
+    velocity: bool
     time_form: TimeForm
     base_ecef_m: tuple[float, float, float] | None
 
@@ -43,7 +44,8 @@ def conf_options(path: Path, *, quiet: bool) -> ConfOptions:
         solver=imported.solver,
         folder=path.resolve().parent,
         direction=cast("Direction", direction if imported.solver.mode != "single" else "forward"),
-        coordinates=form if form in _FORMATS else "llh",
+        form=form if form in _FORMATS else "llh",
+        velocity=conf.choice("out-outvel") == "on",
         time_form="tow" if conf.choice("out-timeform") == "tow" else "calendar",
         base_ecef_m=imported.base_ecef_m,
     )

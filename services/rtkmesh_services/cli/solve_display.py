@@ -91,6 +91,8 @@ def _table(run: Run) -> Table:
     if tally.first_fix_s is not None:
         table.add_row("first fix", f"after {tally.first_fix_s:.1f} s")
     table.add_row("largest age", f"{tally.largest_age_s:.1f} s")
+    if tally.resets:
+        table.add_row("filter resets", str(tally.resets))
     table.add_row("solving", f"{1e3 * tally.solving_s / max(1, tally.epochs):.2f} ms an epoch, {tally.total_s:.1f} s in all")
     for end, name in run.session.antennas.items():
         if name:

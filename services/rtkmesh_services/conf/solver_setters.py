@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import msgspec
 
+from rtkmesh.rtk.options import LEAST_AMBIGUITIES
 from rtkmesh_schemas.config import SolverTable
 from rtkmesh_services.conf.changes import Change, Setter, ignored, taken, translated
 from rtkmesh_services.conf.choices import Dialect
@@ -21,7 +22,6 @@ MODES: Final = {
 _SATELLITE: Final = re.compile(r"(\+?)([GRECJSI])(\d{1,3})")
 _SBAS_FIRST: Final = 100
 _SOLID_TIDES: Final = 1
-_LEAST_AMBIGUITIES: Final = 3
 # what is done here whatever the file says; another value alters the result
 _DONE: Final = {
     "pos1-ionoopt": ("brdc",), "pos1-tropopt": ("saas", "est-ztd"), "pos1-sateph": ("brdc",),
@@ -165,8 +165,8 @@ def _length_sigma(table: SolverTable, row: Row, text: str, dialect: Dialect) -> 
 
 
 def _least(table: SolverTable, row: Row, text: str, dialect: Dialect) -> Change:
-    count = max(_LEAST_AMBIGUITIES, int(number_of(row, text, dialect)) - 1)
-    return translated(f"satellites less one, at least {_LEAST_AMBIGUITIES}", ambiguity__minimum_ambiguities=count)
+    count = max(LEAST_AMBIGUITIES, int(number_of(row, text, dialect)) - 1)
+    return translated(f"satellites less one, at least {LEAST_AMBIGUITIES}", ambiguity__minimum_ambiguities=count)
 
 
 def _hold(table: SolverTable, row: Row, text: str, dialect: Dialect) -> Change:
@@ -233,7 +233,7 @@ ENGINE_DEFAULTS: Final[dict[str, Any]] = {
     "ambiguity.ratio": 3.0,
     "ambiguity.elevation_mask_deg": 15.0,
     "ambiguity.minimum_lock_epochs": 0,
-    "ambiguity.minimum_ambiguities": 5,
+    "ambiguity.minimum_ambiguities": LEAST_AMBIGUITIES,
     "ambiguity.hold_after_epochs": 20,
     "ambiguity.failure_rate": 1.0,
     "integrity.enabled": True,

@@ -289,7 +289,8 @@ def open_recording(path: Path, date: GpsTime | None = None, *, options: StreamOp
             return _text_recording(path, opened)
         kind = _kind_of_log(head)
         if kind is None:
-            raise SourceError(f"{path} is no recording of a known kind: no RINEX header, and no UBX, RTCM 3 or NMEA frame in its beginning")
+            kinds = "UBX, RTCM 3, SBF, Unicore, NovAtel or NMEA"
+            raise SourceError(f"{path} is no recording of a known kind: no RINEX header, and no frame of {kinds} in its beginning")
     except BaseException:
         opened.file.close()
         raise

@@ -6,6 +6,7 @@ from typing import Final
 
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.receiver_options import parse_receiver_options
+from rtkmesh.rtk.options import LEAST_AMBIGUITIES
 from rtkmesh_schemas.config import Deployment, IngestTable, SolverTable
 from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.errors import BadKeyError
@@ -122,6 +123,12 @@ def _check_base_station(reader: Faults, id: str, table: IngestTable) -> None:  #
 def _check_solver(reader: Faults, id: str, solver: SolverTable) -> None:  # noqa: A002
     if solver.mode == "fixed" and solver.fixed_position_ecef_m is None:
         reader.fault(("solver", id, "mode"), f"[solver.{id}] mode 'fixed' needs 'fixed_position_ecef_m', where the rover is")
+    if (solver.ambiguity.failure_rate or 1.0) < 1.0 and solver.integrity.enabled is False:
+        text = "failure_rate needs [integrity] enabled: nothing else says how probably a fix is wrong"
+        reader.fault(("solver", id, "ambiguity", "failure_rate"), f"[solver.{id}.ambiguity] {text}")
+    if (solver.ambiguity.minimum_ambiguities or LEAST_AMBIGUITIES) < LEAST_AMBIGUITIES and solver.baseline_length_m is None:
+        text = f"minimum_ambiguities: fewer than {LEAST_AMBIGUITIES} are believed only with 'baseline_length_m'"
+        reader.fault(("solver", id, "ambiguity", "minimum_ambiguities"), f"[solver.{id}.ambiguity] {text}")
     for index, name in enumerate(solver.excluded):
         if not _SATELLITE.fullmatch(name):
             reader.fault(("solver", id, "excluded", str(index)), f"[solver.{id}] excluded: {clip(name)!r} is no satellite such as G05")

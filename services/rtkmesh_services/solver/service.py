@@ -29,6 +29,7 @@ from rtkmesh_services.runtime.service import Context, Report, Service
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 from rtkmesh_services.solver.bases import OPERATIONS as BASE_OPERATIONS
 from rtkmesh_services.solver.bases import BaseChanger, Subscriptions, Wiring, ingest_of
+from rtkmesh_services.solver.beginnings import GAP_S, Beginnings
 from rtkmesh_services.solver.broadcast import Broadcast
 from rtkmesh_services.solver.followers import Followers
 from rtkmesh_services.solver.formats import TextPublisher
@@ -67,7 +68,7 @@ class SolverService(Service):
         self.recent, self.neighbours = Recent(), Neighbours(context.deployment, context.id)
         self._words, self._broadcast = Words(self), Broadcast(context, self._screen)
         self._inputs = {name: InputStream(name, source, self._ingest(name).replay) for source, name in self._sources()}
-        self._sequence = 0
+        self._sequence, self._beginnings = 0, Beginnings()
         self._statuses: Counter[str] = Counter()
         self._integrities: Counter[str] = Counter()
         self._solve_ms, self._latency_ms, self._waited_ms = RollingQuantiles(), RollingQuantiles(), RollingQuantiles()
@@ -234,6 +235,7 @@ class SolverService(Service):
         solution = self.session.solve(pair)
         solved = self.context.clock.mono_ns()
         self._bases.solved(solution)
+        self._tell_beginning(solution)
         self._statuses[solution.status.name] += 1
         self._integrities[solution.integrity.value] += 1
         self._solve_ms.add(solved, (solved - begun) * 1e-6)
@@ -242,6 +244,12 @@ class SolverService(Service):
         if received:
             self._latency_ms.add(solved, (solved - received) * 1e-6)
         self._publish(solution, (solved - begun) * 1e-6, received, solved)
+
+    def _tell_beginning(self, solution: Solution) -> None:
+        """Announce that the filter began anew by itself, with what that did to the position."""
+        begun = self._beginnings.solved(solution, moving_base=self.settings.active.mode == "moving-base")
+        if begun is not None:
+            self.context.event(Level.WARNING if begun.gap_s <= GAP_S else Level.INFO, "filter_reset", begun.text, **begun.data)
 
     def _publish(self, solution: Solution, solve_ms: float, received: int, now_ns: int) -> None:
         context = self.context
@@ -316,7 +324,7 @@ class SolverService(Service):
         """Solve nothing from now on."""
         self.running, self._started_s = False, None
         self.session.restart()
-        self.recent.fresh()
+        self._fresh()
         self.context.event(Level.INFO, "stopped", "solver stopped by command")
 
     def begin(self, word: str) -> None:
@@ -325,8 +333,13 @@ class SolverService(Service):
             self.session.restart(self._session_options(self.settings.pending))
         self.settings.restarted()
         self.running, self._started_s = True, self._now_s()
-        self.recent.fresh()
+        self._fresh()
         self.context.event(Level.INFO, word, f"solver {word} with a fresh filter")
+
+    def _fresh(self) -> None:
+        """Somebody asked for a fresh filter: what was before is not compared with it."""
+        self.recent.fresh()
+        self._beginnings = Beginnings()
 
     def _check(self, table: SolverTable) -> None:
         """Refuse (ConfigError) what the engine refuses, before anything is changed."""
