@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import arithmetic, kernel
 from rtkmesh.gnss.constants import J2_GLONASS, MU_GLONASS_M3_S2, OMEGA_EARTH_GLONASS_RADPS, RADIUS_GLONASS_M
 
 STEP_S: Final = 60.0  # local error far below 1 mm; the broadcast force model is good to metres
@@ -45,7 +45,7 @@ def propagate_state(state: Vector, acceleration: Vector, seconds: float) -> int:
     return steps
 
 
-@kernel
+@arithmetic
 def _derivative(state: Vector, acceleration: Vector, out: Vector) -> None:
     """Write the time derivative of a state: the simplified equations of motion of the ICD, appendix 3.1.2."""
     x, y, z, vx, vy = state[0], state[1], state[2], state[3], state[4]

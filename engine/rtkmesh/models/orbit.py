@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import arithmetic, kernel
 from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.constants import (
     BDT_MINUS_GPST_S,
@@ -74,7 +74,7 @@ _GEO_TILT_RAD = radians(-5.0)  # BDS-SIS-ICD-B1I-3.0 table 5-11
 _FNAV = 2.0  # NavigationMessage.FNAV as a row holds it
 
 
-@kernel
+@arithmetic
 def satellite_states(rows: Matrix, week: int, tow_s: float, pseudoranges_m: Vector, out: Matrix) -> int:
     """Write the state (n, STATE) of each satellite when it sent what was received at a receiver time tag; return how many are OK.
 
@@ -98,7 +98,7 @@ def satellite_states(rows: Matrix, week: int, tow_s: float, pseudoranges_m: Vect
     return valid
 
 
-@kernel
+@arithmetic
 def satellite_clock_s(row: Vector, week: int, tow_s: float) -> float:
     """Return the broadcast clock polynomial (s) when the satellite's own clock reads this; relativistic term left out.
 
@@ -111,7 +111,7 @@ def satellite_clock_s(row: Vector, week: int, tow_s: float) -> float:
     return row[AF0] + row[AF1] * dt + row[AF2] * dt * dt
 
 
-@kernel
+@arithmetic
 def satellite_state(row: Vector, week: int, tow_s: float, out: Vector) -> None:
     """Write position, velocity, clock, clock rate and variance (STATE) at a GPST instant; OK is left to the caller."""
     dt = (week - row[TOC_WEEK]) * SECONDS_PER_WEEK + (tow_s - row[TOC_TOW])
@@ -148,7 +148,7 @@ def _kepler_state(row: Vector, tk: float, out: Vector) -> None:
         _turn_plane(plane, node - omega_earth * tk, row[OMEGA_DOT] - omega_earth, out)
 
 
-@kernel
+@arithmetic
 def eccentric_anomaly(mean_anomaly_rad: float, eccentricity: float) -> float:
     """Solve Kepler's equation by Newton's method; converges for every eccentricity that the table lets in (below 0.5)."""
     e_k = mean_anomaly_rad
@@ -160,7 +160,7 @@ def eccentric_anomaly(mean_anomaly_rad: float, eccentricity: float) -> float:
     return e_k
 
 
-@kernel
+@arithmetic
 def _motion_in_plane(row: Vector, tk: float, mu: float, plane: Vector, out: Vector) -> None:
     """Write the motion in the orbital plane (x, y, their rates, inclination, its rate); add the relativistic clock term to ``out``.
 
@@ -188,7 +188,7 @@ def _motion_in_plane(row: Vector, tk: float, mu: float, plane: Vector, out: Vect
     out[STATE_CLOCK_RATE] += factor * cos_e * e_rate
 
 
-@kernel
+@arithmetic
 def _turn_plane(plane: Vector, node: float, node_rate: float, out: Vector) -> None:
     """Write position and velocity of a motion in a plane with this longitude of the ascending node (rad, rad/s)."""
     x, y, vx, vy = plane[0], plane[1], plane[2], plane[3]
@@ -202,7 +202,7 @@ def _turn_plane(plane: Vector, node: float, node_rate: float, out: Vector) -> No
     out[5] = vy * si + y * ci * plane[5]
 
 
-@kernel
+@arithmetic
 def _turn_geostationary(omega_earth: float, tk: float, out: Vector) -> None:
     """Take a BeiDou GEO state in place from its tilted inertial frame to ECEF: Rz(omega tk) Rx(-5 deg) (BDS-SIS-ICD-B1I-3.0, 5.2.4.12)."""
     s5, c5 = sin(_GEO_TILT_RAD), cos(_GEO_TILT_RAD)
@@ -216,7 +216,7 @@ def _turn_geostationary(omega_earth: float, tk: float, out: Vector) -> None:
     out[4] -= omega_earth * out[0]
 
 
-@kernel
+@arithmetic
 def group_delay_m(row: Vector, signal: int) -> float:
     """Return how much (m) a code of this signal is longer than the broadcast clock says; model = range - c * clock + this.
 
@@ -238,7 +238,7 @@ def group_delay_m(row: Vector, signal: int) -> float:
     return _C * row[DELAY_1] * _square_over_l1(band)
 
 
-@kernel
+@arithmetic
 def _square_over_l1(band: int) -> float:
     """Return (f of L1 / f of band)^2 for the bands of GPS, Galileo and QZSS."""
     if band == 2:
@@ -252,7 +252,7 @@ def _square_over_l1(band: int) -> float:
     return (154.0 / 116.5) ** 2 if band == 8 else 1.0
 
 
-@kernel
+@arithmetic
 def _galileo_delay_m(row: Vector, band: int) -> float:
     """Galileo: DELAY_1 is BGD(E1, E5a), DELAY_2 BGD(E1, E5b); the F/NAV clock is of E1 and E5a, the I/NAV clock of E1 and E5b."""
     own = row[DELAY_1] if row[MESSAGE] == _FNAV else row[DELAY_2]

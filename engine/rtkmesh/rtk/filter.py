@@ -16,7 +16,7 @@ from typing import Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import arithmetic, kernel
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -76,7 +76,7 @@ def rearrange(x: Vector, P: Matrix, source: Indices, dynamic: int) -> tuple[Vect
     return x_new, P_new
 
 
-@kernel
+@arithmetic
 def reset_state(x: Vector, P: Matrix, i: int, value: float, variance: float) -> None:
     """Forget what is known of state i."""
     for j in range(len(x)):
@@ -85,7 +85,7 @@ def reset_state(x: Vector, P: Matrix, i: int, value: float, variance: float) -> 
     x[i], P[i, i] = value, variance
 
 
-@kernel
+@arithmetic
 def predict_motion(x: Vector, P: Matrix, dt_s: float, decay_s: float, Q: Matrix) -> None:
     """Move position, velocity and acceleration (states 0 to 8) ahead by ``dt_s``.
 
@@ -126,7 +126,7 @@ def predict_motion(x: Vector, P: Matrix, dt_s: float, decay_s: float, Q: Matrix)
             P[6 + i, 6 + j] += q * dt_s
 
 
-@kernel
+@arithmetic
 def _entries(row: Vector, places: Indices, dynamic: int, at: Indices, h: Vector) -> int:
     """Write the non-zero partial derivatives of one observation and the states they belong to; return how many."""
     for k in range(3):
@@ -177,7 +177,7 @@ def normal_equations(observations: Matrix, places: Indices, dynamic: int, groups
             mean[g, i] /= total
 
 
-@kernel
+@arithmetic
 def add_rows(target: Vector, coefficients: Vector, rows: Matrix, first: int, last: int, column: int) -> None:
     """Add to ``target`` the sum of coefficients[k] times rows[k, column:] over first <= k < last.
 

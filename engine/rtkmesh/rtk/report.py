@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import arithmetic, kernel
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SIGNALS_PER_SATELLITE
 from rtkmesh.models.code_selection import USED
@@ -200,14 +200,14 @@ def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tup
     return velocity, covariance, x[6:9].copy(), P[6:9, 6:9].copy()
 
 
-@kernel
+@arithmetic
 def describe_resolution(resolution: Resolution, out: Vector) -> None:
     """Write the figures of ambiguity resolution."""
     out[REASON], out[IS_FIXED], out[RATIO], out[THRESHOLD] = resolution.reason, resolution.fixed, resolution.ratio, resolution.threshold
     out[SUCCESS], out[COUNT_FIXED], out[GRADE] = resolution.success, resolution.integers, resolution.grade
 
 
-@kernel
+@arithmetic
 def describe_guard(guarded: Guard, odds: float, out: Vector) -> None:
     """Write the figures of integrity."""
     out[ODDS], out[WRONG], out[PROTECTION_H_M], out[PROTECTION_V_M] = odds, guarded.wrong, guarded.horizontal_m, guarded.vertical_m
@@ -226,7 +226,7 @@ def describe_fit(d: Differences, layout: Layout, update: Update, out: Vector) ->
     out[NIS] = update.phase_chi2 / update.phase_dof if update.phase_dof > 0.5 else np.nan
 
 
-@kernel
+@arithmetic
 def _rms(values: Vector, used: NDArray[np.bool_]) -> float:
     """Return the root mean square of the used finite values; NaN if there are none."""
     total, count = 0.0, 0

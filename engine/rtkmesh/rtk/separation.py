@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import arithmetic, kernel
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import INTEGER, Filter
@@ -116,7 +116,7 @@ def _empty_ranges(d: Differences, turn: Matrix) -> Ranges:
     return Ranges(rows, np.zeros(n), d.pairs.group, d.pairs.satellite, d.pairs.groups)
 
 
-@kernel
+@arithmetic
 def _put(out: Ranges, k: int, value_m: float, variance_m2: float, used: bool) -> None:
     usable = used and isfinite(value_m) and variance_m2 > 0.0
     out.rows[k, RANGE], out.weight[k] = value_m if usable else 0.0, 1.0 / variance_m2 if usable else 0.0
@@ -154,14 +154,14 @@ def solve_epoch(ranges: Ranges) -> Epochwise:
     return Epochwise(sums, reduced, place, cov, solved, max(chi2, 0.0), count - UNKNOWNS)
 
 
-@kernel
+@arithmetic
 def _add_row(total: Matrix, row: Vector, weight: float) -> None:
     for i in range(COLUMNS):
         for j in range(COLUMNS):
             total[i, j] += weight * row[i] * row[j]
 
 
-@kernel
+@arithmetic
 def _add_reduced(total: Matrix, sign: float, reduced: Matrix) -> None:
     """Add a group's sums without its clock; ``sign`` -1 takes them away."""
     w = total[CLOCK, CLOCK]
@@ -188,7 +188,7 @@ def leave_out(ranges: Ranges, whole: Epochwise, first: int, last: int, place: Ve
     return solve_normal(reduced, place, cov)
 
 
-@kernel
+@arithmetic
 def solve_normal(reduced: Matrix, place: Vector, cov: Matrix) -> bool:
     """Write the inverse of the leading 3 x 3 and its product with the fourth column; return False where it is singular."""
     a, b, c, d, e, f = reduced[0, 0], reduced[0, 1], reduced[0, 2], reduced[1, 1], reduced[1, 2], reduced[2, 2]
@@ -206,7 +206,7 @@ def solve_normal(reduced: Matrix, place: Vector, cov: Matrix) -> bool:
     return True
 
 
-@kernel
+@arithmetic
 def horizontal_sigma(cov: Matrix) -> float:
     """Return the largest standard deviation of any horizontal direction."""
     middle, half = 0.5 * (cov[0, 0] + cov[1, 1]), 0.5 * (cov[0, 0] - cov[1, 1])
