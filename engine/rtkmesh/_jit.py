@@ -22,12 +22,12 @@ def kernel(function: F) -> F:
     return cast("F", _compile(function))
 
 
-def arithmetic(function: F) -> F:
+def kernel_in_place(function: F) -> F:
     """Compile a kernel that makes no array, returns none, and calls no kernel that returns one: with what it is given it does not count
     references.
 
     Numba counts, with atomic instructions, whenever a name is given to an array, a part of one or a field of a named tuple: a fifth of the
     time of an epoch of one band. What makes an array in here does not compile; what is returned to here would never be freed
-    (``tests/test_arithmetic.py``).
+    (``tests/test_kernels_in_place.py``).
     """
     return cast("F", _compile_without_arrays(function))

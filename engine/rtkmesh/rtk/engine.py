@@ -309,7 +309,8 @@ class Rtk:
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
             past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s,
         )  # fmt: skip
-        learned, step_s = past.learned(), state.time_s - state.rover_s
+        step_s = state.time_s - state.rover_s
+        learned = past.learned(step_s)
         if len(around.bases) == 1:
             filters, signals = (tuple(state.filter), tuple(state.informed)), (tuple(around.rover.signals), tuple(base.signals))
             given = tuple(single), channel, klobuchar, tuple(step), tuple(known)

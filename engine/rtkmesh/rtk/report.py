@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import arithmetic, kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SIGNALS_PER_SATELLITE
 from rtkmesh.models.code_selection import USED
@@ -54,8 +54,6 @@ from rtkmesh.rtk.state import (
     INTEGER,
     REJECTS,
     SLIPS,
-    SLOPE_KEY,
-    ZENITH_KEY,
     Filter,
 )
 from rtkmesh.rtk.update import Layout, Update
@@ -84,8 +82,7 @@ _REASONS: Final = {
     ODDS, WRONG, PROTECTION_H_M, PROTECTION_V_M, RESIDUAL_TEST, FLOAT_TEST, CODE_TEST,
 ) = range(20)  # fmt: skip
 FIGURES: Final = 20
-_NO_SATELLITES: Final = np.zeros(0, np.int64)
-_NO_DELAYS: Final = np.zeros(0)
+_REASON_OF: Final = tuple(Reason)  # by number: a look-up is a tenth of a call of the enumeration
 
 
 def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
@@ -125,23 +122,24 @@ class Circumstances:
 
 def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> Solution:
     """Return the relative solution: fixed where the resolution says so, else float, else differential code."""
-    x, P, numbers = solved.x, solved.P, solved.figures.tolist()
+    x, P, numbers = solved.x, solved.P, solved.figures.tolist()  # x and P are this epoch's alone: what is given of them are views
+    base_ecef_m = base_ecef_m.copy()
     status = Status.FIX if numbers[IS_FIXED] else (Status.FLOAT if numbers[PHASES] >= 4 else Status.DGPS)
-    covariance = solved.position_cov_m2[:3, :3].copy()
+    covariance = solved.position_cov_m2[:3, :3]
     velocity_mps, velocity_cov_m2ps2, acceleration_mps2, acceleration_cov_m2ps4 = _motion(single, x, P, around)
     integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
     return Solution(
         time=rover.time,
         status=status,
-        reason=Reason(int(numbers[REASON])),
+        reason=_REASON_OF[int(numbers[REASON])],
         position_ecef_m=base_ecef_m + x[:3],
         position_cov_ecef_m2=covariance if around.base_single is None else covariance + around.base_single.covariance_m2,
         velocity_ecef_mps=velocity_mps,
         velocity_cov_ecef_m2ps2=velocity_cov_m2ps2,
         acceleration_ecef_mps2=acceleration_mps2,
         acceleration_cov_ecef_m2ps4=acceleration_cov_m2ps4,
-        base_ecef_m=base_ecef_m.copy(),
-        baseline_ecef_m=x[:3].copy(),
+        base_ecef_m=base_ecef_m,
+        baseline_ecef_m=x[:3],
         baseline_cov_ecef_m2=covariance,
         single_position_ecef_m=single.position_ecef_m,
         receiver_clock_s=single.clock_s,
@@ -172,16 +170,13 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
 
 def _float_state(solved: "Solved", base_ecef_m: Vector, around: Circumstances) -> FloatState:
     """Return what the filters know beside the integers; the atmosphere of the informed one where there is one."""
-    x = solved.filter.x
-    atmosphere = solved.informed if len(solved.informed.keys) else solved.filter
-    count = int(atmosphere.keys.searchsorted(FIRST_PAIR_KEY))
-    zenith_m, slope_m, satellites, ionosphere_m = nan, nan, _NO_SATELLITES, _NO_DELAYS
-    if count:
-        delays = dict(zip(atmosphere.keys[:count].tolist(), atmosphere.x[DYNAMIC : DYNAMIC + count].tolist(), strict=True))
-        zenith_m, slope_m = delays.pop(ZENITH_KEY, nan), delays.pop(SLOPE_KEY, nan)
-        satellites, ionosphere_m = np.array(list(delays), np.int64), np.array(list(delays.values()), np.float64)
-    moving = (around.sense * x[3:6], x[6:9].copy()) if around.moves else (np.full(3, nan), np.full(3, nan))
-    return FloatState(base_ecef_m + x[:3], *moving, zenith_m, slope_m, satellites, ionosphere_m)
+    x = solved.filter.x.copy()
+    if len(solved.informed.keys):
+        keys, shared = solved.informed.keys, solved.informed.x[DYNAMIC:].copy()
+    else:
+        keys, shared = solved.filter.keys, x[DYNAMIC:]
+    count = int(keys.searchsorted(FIRST_PAIR_KEY)) if len(keys) and keys[0] < FIRST_PAIR_KEY else 0
+    return FloatState(base_ecef_m, x, keys[:count], shared[:count], around.sense, around.moves)
 
 
 def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tuple[Vector, Matrix, Vector, Matrix]:
@@ -192,22 +187,22 @@ def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tup
     """
     if not around.moves:
         return single.velocity_mps[:3], single.velocity_cov_m2ps2, np.full(3, nan), np.full((3, 3), nan)
-    velocity, covariance = around.sense * x[3:6], P[3:6, 3:6].copy()
+    velocity, covariance = around.sense * x[3:6], P[3:6, 3:6]
     base = around.base_single
     if base is not None and isfinite(base.velocity_mps[0]):
         velocity += base.velocity_mps[:3]
-        covariance += base.velocity_cov_m2ps2
-    return velocity, covariance, x[6:9].copy(), P[6:9, 6:9].copy()
+        covariance = covariance + base.velocity_cov_m2ps2
+    return velocity, covariance, x[6:9], P[6:9, 6:9]
 
 
-@arithmetic
+@kernel_in_place
 def describe_resolution(resolution: Resolution, out: Vector) -> None:
     """Write the figures of ambiguity resolution."""
     out[REASON], out[IS_FIXED], out[RATIO], out[THRESHOLD] = resolution.reason, resolution.fixed, resolution.ratio, resolution.threshold
     out[SUCCESS], out[COUNT_FIXED], out[GRADE] = resolution.success, resolution.integers, resolution.grade
 
 
-@arithmetic
+@kernel_in_place
 def describe_guard(guarded: Guard, odds: float, out: Vector) -> None:
     """Write the figures of integrity."""
     out[ODDS], out[WRONG], out[PROTECTION_H_M], out[PROTECTION_V_M] = odds, guarded.wrong, guarded.horizontal_m, guarded.vertical_m
@@ -226,7 +221,7 @@ def describe_fit(d: Differences, layout: Layout, update: Update, out: Vector) ->
     out[NIS] = update.phase_chi2 / update.phase_dof if update.phase_dof > 0.5 else np.nan
 
 
-@arithmetic
+@kernel_in_place
 def _rms(values: Vector, used: NDArray[np.bool_]) -> float:
     """Return the root mean square of the used finite values; NaN if there are none."""
     total, count = 0.0, 0
