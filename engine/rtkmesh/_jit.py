@@ -13,8 +13,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _Compile = Callable[[Callable[..., Any]], Callable[..., Any]]
 
-_compile: _Compile = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=True)
-_compile_without_arrays: _Compile = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+_njit: Callable[..., _Compile] = cast("Any", numba.njit)  # its stub does not know ``_nrt``
+_compile = _njit(cache=True, nogil=True, error_model="numpy", _nrt=True)
+_compile_in_place = _njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 
 
 def kernel(function: F) -> F:
@@ -28,6 +29,6 @@ def kernel_in_place(function: F) -> F:
 
     Numba counts, with atomic instructions, whenever a name is given to an array, a part of one or a field of a named tuple: a fifth of the
     time of an epoch of one band. What makes an array in here does not compile; what is returned to here would never be freed
-    (``tests/test_kernels_in_place.py``).
+    (``tests/rtk/test_kernels_in_place.py``).
     """
-    return cast("F", _compile_without_arrays(function))
+    return cast("F", _compile_in_place(function))

@@ -201,7 +201,7 @@ def add_rows(target: Vector, coefficients: Vector, rows: Matrix, first: int, las
 @kernel
 def factor(P: Matrix, U: Matrix) -> int:
     """Write the upper triangular U with P = U'U."""
-    return _factor(P, U, np.empty(P.shape[0]))
+    return _factor(P, U, np.empty(len(P)))
 
 
 @kernel_in_place

@@ -100,7 +100,7 @@ def fix_of_both(own: Matrix, epoch: Epochwise, inflation: float) -> Matrix:
     for i in range(3):
         for j in range(3):
             out[i, j] = own[i, j]
-            for a in range(3):
+            for a in range(3 if noise > 0.0 else 0):
                 for b in range(3):
                     out[i, j] -= noise * own[i, a] * epoch.reduced[a, b] * own[b, j]
     if out[0, 0] + out[1, 1] + out[2, 2] > epoch.cov[0, 0] + epoch.cov[1, 1] + epoch.cov[2, 2]:

@@ -1,8 +1,7 @@
 """The solution of an epoch, from what the steps of the engine left behind."""
 
-from dataclasses import dataclass
 from math import isfinite, nan, sqrt
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +81,10 @@ _REASONS: Final = {
     ODDS, WRONG, PROTECTION_H_M, PROTECTION_V_M, RESIDUAL_TEST, FLOAT_TEST, CODE_TEST,
 ) = range(20)  # fmt: skip
 FIGURES: Final = 20
-_REASON_OF: Final = tuple(Reason)  # by number: a look-up is a tenth of a call of the enumeration
+_NO_VECTOR: Final = np.full(3, nan)
+_NO_MATRIX: Final = np.full((3, 3), nan)
+_REASON_OF: Final = tuple(Reason)  # by number
+_FIX, _FLOAT, _DGPS = Status.FIX, Status.FLOAT, Status.DGPS  # a member of an enumeration is looked up in 0.1 us
 
 
 def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
@@ -106,8 +108,7 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located) -> Solution:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Circumstances:
+class Circumstances(NamedTuple):
     """What is around a relative solution: ``base_single`` is the single point of a moving base, else None; ``sense`` is 1.0, or -1.0 where
     the filter's clock runs against GPS time.
     """
@@ -124,7 +125,7 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
     """Return the relative solution: fixed where the resolution says so, else float, else differential code."""
     x, P, numbers = solved.x, solved.P, solved.figures.tolist()  # x and P are this epoch's alone: what is given of them are views
     base_ecef_m = base_ecef_m.copy()
-    status = Status.FIX if numbers[IS_FIXED] else (Status.FLOAT if numbers[PHASES] >= 4 else Status.DGPS)
+    status = _FIX if numbers[IS_FIXED] else (_FLOAT if numbers[PHASES] >= 4 else _DGPS)
     covariance = solved.position_cov_m2[:3, :3]
     velocity_mps, velocity_cov_m2ps2, acceleration_mps2, acceleration_cov_m2ps4 = _motion(single, x, P, around)
     integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
@@ -157,7 +158,7 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
         code_rms_m=numbers[CODE_RMS_M],
         phase_rms_m=numbers[PHASE_RMS_M],
         nis_per_observation=numbers[NIS],
-        fix_probability=1.0 - numbers[WRONG] if status is Status.FIX else 0.0,
+        fix_probability=1.0 - numbers[WRONG] if status is _FIX else 0.0,
         protection_horizontal_m=numbers[PROTECTION_H_M],
         protection_vertical_m=numbers[PROTECTION_V_M],
         integrity=integrity,
@@ -186,11 +187,11 @@ def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tup
     Where nothing moves the velocity is the single-point one.
     """
     if not around.moves:
-        return single.velocity_mps[:3], single.velocity_cov_m2ps2, np.full(3, nan), np.full((3, 3), nan)
-    velocity, covariance = around.sense * x[3:6], P[3:6, 3:6]
+        return single.velocity_mps[:3], single.velocity_cov_m2ps2, _NO_VECTOR.copy(), _NO_MATRIX.copy()
+    velocity, covariance = x[3:6] if around.sense > 0.0 else -x[3:6], P[3:6, 3:6]
     base = around.base_single
     if base is not None and isfinite(base.velocity_mps[0]):
-        velocity += base.velocity_mps[:3]
+        velocity = velocity + base.velocity_mps[:3]
         covariance = covariance + base.velocity_cov_m2ps2
     return velocity, covariance, x[6:9], P[6:9, 6:9]
 
