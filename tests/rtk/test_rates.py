@@ -21,7 +21,7 @@ def teach(past: Past, step_s: float, epochs: int) -> None:
     """Let a past learn the same of so many epochs, of both filters."""
     trial = TRIAL[:, : past.scale.shape[1]]
     for _ in range(epochs):
-        before = past.learned()
+        before = past.learned(step_s)
         learn_codes(past.scale, trial)
         learn_codes(past.informed_scale, 2.0 * trial)
         learn_phases(past.scale, 30.0, 20.0)
@@ -65,7 +65,7 @@ def test_epochs_of_a_second_and_slower_count_in_full(step_s: float):
 def test_places_of_codes_are_left_alone():
     """They know of time themselves."""
     past = new_past()
-    before = past.learned()
+    before = past.learned(0.1)
     past.scale[PHASE, PLACE_SQUARES:] = 7.0
     past.count_in_part(before, 0.1)
     assert (past.scale[PHASE, PLACE_SQUARES:] == 7.0).all()

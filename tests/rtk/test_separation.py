@@ -13,6 +13,7 @@ from rtkmesh.rtk.separation import (
     _take_clocks,
     horizontal_sigma,
     leave_out,
+    new_rest,
     normalised_square,
     solve_epoch,
 )
@@ -69,12 +70,12 @@ def test_leaving_a_satellite_out_is_solving_without_it(seed: int):
     ranges = random_ranges(seed)
     ranges.group[4] = 4
     ranges = ranges._replace(groups=5)
-    whole, place, cov = solve_epoch(ranges), np.empty(3), np.empty((3, 3))
+    whole, rest = solve_epoch(ranges), new_rest()
     for s in range(9):
-        assert leave_out(ranges, whole, 2 * s, 2 * s + 2, place, cov)
+        assert leave_out(ranges, whole, 2 * s, 2 * s + 2, rest)
         expected = dense(ranges, np.flatnonzero(ranges.satellite != s))
-        np.testing.assert_allclose(place, expected[0], atol=1e-8)
-        np.testing.assert_allclose(cov, expected[1], atol=1e-8)
+        np.testing.assert_allclose(rest.place, expected[0], atol=1e-8)
+        np.testing.assert_allclose(rest.cov, expected[1], atol=1e-8)
 
 
 def test_clocks_of_a_thousand_kilometres_leave_the_millimetres():
@@ -110,11 +111,11 @@ def test_a_bias_does_not_touch_the_solution_without_its_satellite():
     """And the separation is the bias times its gain: half of it for a range of the cross towards its own side."""
     bias = np.array([3.0, 0.0, 0.0, 0.0, 0.0])
     ranges = cross(bias, 0.5)
-    whole, place, cov = solve_epoch(ranges), np.empty(3), np.empty((3, 3))
-    assert leave_out(ranges, whole, 0, 1, place, cov)
-    np.testing.assert_allclose(place, 0.0, atol=1e-12)
+    whole, rest = solve_epoch(ranges), new_rest()
+    assert leave_out(ranges, whole, 0, 1, rest)
+    np.testing.assert_allclose(rest.place, 0.0, atol=1e-12)
     assert whole.place[1] == pytest.approx(-1.5)
-    assert not leave_out(ranges, whole, 4, 5, place, cov)  # nothing else sees the height
+    assert not leave_out(ranges, whole, 4, 5, rest)  # nothing else sees the height
 
 
 @given(st.integers(0, 1000), st.integers(5, 10))

@@ -1,11 +1,11 @@
 """What is different about some satellites of BeiDou."""
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 from rtkmesh.gnss.ephemeris import NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, SATELLITES_PER_SYSTEM
 
 
-@kernel
+@kernel_in_place
 def is_geostationary(satellite: int) -> bool:
     """Return whether this is the number (of all systems) of a geostationary satellite of BeiDou (BDS-SIS-ICD B1I 3.0, 3.1).
 

@@ -77,8 +77,14 @@ class Epoch:
     @property
     def signals(self) -> Signals:
         """What kernels take."""
-        return Signals(
-            self.time.week, self.time.tow_s, self.satellite, self.signal, self.channel, self.flags, self.pseudorange_m, self.phase_cyc,
+        return Signals(*self.plain_signals)
+
+    @property
+    def plain_signals(self) -> tuple[Any, ...]:
+        """The fields of ``signals`` alone: without names they cross into a kernel sooner (rtk/crossing.py)."""
+        time = self.time
+        return (
+            time.week, time.tow_s, self.satellite, self.signal, self.channel, self.flags, self.pseudorange_m, self.phase_cyc,
             self.doppler_hz, self.cn0_dbhz, self.lock_s, self.pseudorange_sigma_m, self.phase_sigma_cyc,
         )  # fmt: skip
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 
 SYSTEMS: Final = "GRECJSI"
 GPS, GLONASS, GALILEO, BEIDOU, QZSS, SBAS, NAVIC = range(7)
@@ -60,19 +60,19 @@ def signal_code(signal: int) -> str:
     return f"{signal // ATTRIBUTES}{chr(ord('A') + signal % ATTRIBUTES)}"
 
 
-@kernel
+@kernel_in_place
 def system_of(satellite: int) -> int:
     """Return the system (GPS, GLONASS, ...) of a satellite number."""
     return satellite // SATELLITES_PER_SYSTEM
 
 
-@kernel
+@kernel_in_place
 def band_of(signal: int) -> int:
     """Return the RINEX band (1 to 9) of a signal number."""
     return signal // ATTRIBUTES
 
 
-@kernel
+@kernel_in_place
 def carrier_hz(satellite: int, signal: int, channel: int) -> float:
     """Return the carrier frequency (Hz), or 0.0 where it is not known.
 

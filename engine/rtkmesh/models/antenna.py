@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.antenna import NO_RADOME, AntennaCalibration, BandCalibration, Calibrations, antenna_name
 from rtkmesh.gnss.signals import SYSTEMS
 
@@ -127,13 +127,13 @@ def find_antenna(tables: Iterable[Calibrations], name: str, serial: str = "") ->
     return f"no calibration of {antenna} {radome}"
 
 
-@kernel
+@kernel_in_place
 def carrier_place(pattern: Vector, system: int, band: int) -> int:
     """Return where a pattern has the carrier of a system (GPS, ...) and RINEX band; negative if it has no calibration for it."""
     return int(pattern[_PLACES + system * _BANDS + band])
 
 
-@kernel
+@kernel_in_place
 def antenna_correction_m(pattern: Vector, place: int, azimuth_rad: float, elevation_rad: float) -> float:
     """Return the delay (m) that an antenna adds to a range: subtract it from what was observed, code or phase.
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 from rtkmesh.gnss.constants import SECONDS_PER_DAY, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.ephemeris import KlobucharParameters
 
@@ -40,7 +40,7 @@ _NIELL: Final = np.array([
 _NIELL_HEIGHT_A, _NIELL_HEIGHT_B, _NIELL_HEIGHT_C = 2.53e-5, 5.49e-3, 1.14e-3
 
 
-@kernel
+@kernel_in_place
 def zenith_hydrostatic_m(lat_rad: float, height_m: float) -> float:
     """Return the zenith hydrostatic delay (m) of the standard atmosphere; 0 above 40 km.
 
@@ -53,7 +53,7 @@ def zenith_hydrostatic_m(lat_rad: float, height_m: float) -> float:
     return 0.0022768 * pressure_hpa / (1.0 - 0.00266 * cos(2.0 * lat_rad) - 0.00028e-3 * height_m)
 
 
-@kernel
+@kernel_in_place
 def zenith_wet_m(height_m: float) -> float:
     """Return the zenith wet delay (m) of the standard atmosphere at a relative humidity of 0.7; 0 above the tropopause.
 
@@ -66,7 +66,7 @@ def zenith_wet_m(height_m: float) -> float:
     return 0.002277 * (1255.0 / temperature_k + 0.05) * vapour_hpa
 
 
-@kernel
+@kernel_in_place
 def day_of_year(week: int, tow_s: float) -> float:
     """Return the day of year with its fraction, 1.0 at the start of January 1, of a GPST instant between 1980 and 2099."""
     days = week * 7 + 5 + int(tow_s // SECONDS_PER_DAY)  # since 1980-01-01, the first day of a cycle of four years
@@ -76,7 +76,7 @@ def day_of_year(week: int, tow_s: float) -> float:
     return day + 1.0 + (tow_s % SECONDS_PER_DAY) / SECONDS_PER_DAY
 
 
-@kernel
+@kernel_in_place
 def troposphere_at(lat_rad: float, height_m: float, week: int, tow_s: float, out: Vector) -> None:
     """Write what the troposphere above a place at a time needs (TROPOSPHERE): zenith delays and mapping coefficients.
 
@@ -95,7 +95,7 @@ def troposphere_at(lat_rad: float, height_m: float, week: int, tow_s: float, out
     out[_HEIGHT_KM] = min(max(height_m, -1000.0), 40.0e3) * 1e-3
 
 
-@kernel
+@kernel_in_place
 def hydrostatic_mapping(troposphere: Vector, elevation_rad: float) -> float:
     """Return slant over zenith hydrostatic delay (Niell 1996, equations 4 and 6)."""
     sin_el = sin(max(elevation_rad, LOWEST_ELEVATION_RAD))
@@ -104,20 +104,20 @@ def hydrostatic_mapping(troposphere: Vector, elevation_rad: float) -> float:
     return surface + by_height * troposphere[_HEIGHT_KM]
 
 
-@kernel
+@kernel_in_place
 def wet_mapping(troposphere: Vector, elevation_rad: float) -> float:
     """Return slant over zenith wet delay (Niell 1996, equation 4)."""
     sin_el = sin(max(elevation_rad, LOWEST_ELEVATION_RAD))
     return _continued_fraction(sin_el, troposphere[_WET_A], troposphere[_WET_B], troposphere[_WET_C])
 
 
-@kernel
+@kernel_in_place
 def _continued_fraction(sin_el: float, a: float, b: float, c: float) -> float:
     """Marini's continued fraction, normalised to 1 at the zenith (Niell 1996, equation 4)."""
     return (1.0 + a / (1.0 + b / (1.0 + c))) / (sin_el + a / (sin_el + b / (sin_el + c)))
 
 
-@kernel
+@kernel_in_place
 def troposphere_m(troposphere: Vector, elevation_rad: float) -> float:
     """Return the slant delay (m) in the direction of an elevation."""
     dry, wet = troposphere[_DRY_M], troposphere[_WET_M]
@@ -132,7 +132,7 @@ def klobuchar_vector(parameters: KlobucharParameters | None) -> Vector:
     return np.array(DEFAULT_KLOBUCHAR if parameters is None else (*parameters.alpha, *parameters.beta))
 
 
-@kernel
+@kernel_in_place
 def ionosphere_l1_m(klobuchar: Vector, lat_rad: float, lon_rad: float, azimuth_rad: float, elevation_rad: float, tow_s: float) -> float:
     """Return the slant delay (m) at 1575.42 MHz by Klobuchar's model; at f it is (1575.42 MHz / f)^2 of this.
 

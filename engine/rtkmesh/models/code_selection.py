@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, GLONASS, NO_CHANNEL, SATELLITES_PER_SYSTEM, carrier_hz
 from rtkmesh.models.ephemeris_table import CHANNEL
@@ -31,7 +31,7 @@ _CN0_M2 = 3160.0  # code variance (m2) = this * 10^(-C/N0 / 10): 1 m at 35 dB-Hz
 _ATTRIBUTE_RANK = np.array([9, 8, 0, 7, 12, 12, 12, 12, 1, 12, 12, 3, 11, 11, 12, 5, 4, 12, 6, 12, 12, 12, 6, 2, 10, 9])
 
 
-@kernel
+@kernel_in_place
 def _band_rank(system: int, band: int) -> int:
     """Return the preference among bands: the band of the clock's simplest correction and of the ionosphere model first."""
     if system == BEIDOU and band <= 2:
@@ -41,7 +41,7 @@ def _band_rank(system: int, band: int) -> int:
     return band
 
 
-@kernel
+@kernel_in_place
 def choose_codes(satellite: NDArray[np.int16], signal: NDArray[np.int16], pseudorange_m: Vector, cn0_dbhz: Vector,
                  allowed: NDArray[np.bool_], cn0_mask_dbhz: float, chosen: NDArray[np.int64]) -> int:  # fmt: skip
     """Write per satellite the rows of an epoch (sorted by satellite) with the best code and the best of another band; return their number.
@@ -63,7 +63,7 @@ def choose_codes(satellite: NDArray[np.int16], signal: NDArray[np.int16], pseudo
     return count
 
 
-@kernel
+@kernel_in_place
 def _rank_in(system: int, signal: NDArray[np.int16], row: int, pair: NDArray[np.int64]) -> None:
     """Put one more row of the same satellite in its place among the two chosen."""
     first, second, own = int(pair[0]), int(pair[1]), int(signal[row])
@@ -76,12 +76,12 @@ def _rank_in(system: int, signal: NDArray[np.int16], row: int, pair: NDArray[np.
         pair[1] = row
 
 
-@kernel
+@kernel_in_place
 def _rank(system: int, signal: int) -> int:
     return _band_rank(system, signal // ATTRIBUTES) * ATTRIBUTES + _ATTRIBUTE_RANK[signal % ATTRIBUTES]
 
 
-@kernel
+@kernel_in_place
 def fill_work(rows: Matrix, satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: NDArray[np.int8], pseudorange_m: Vector,
               doppler_hz: Vector, cn0_dbhz: Vector, sigma_m: Vector, chosen: NDArray[np.int64], free_of_ionosphere: bool,
               work: Matrix) -> None:  # fmt: skip
@@ -109,14 +109,14 @@ def fill_work(rows: Matrix, satellite: NDArray[np.int16], signal: NDArray[np.int
         work[i, RATE] = _range_rate_mps(satellite, signal, own, doppler_hz, int(first))
 
 
-@kernel
+@kernel_in_place
 def _noise_m2(cn0_dbhz: float, sigma_m: float) -> float:
     """Return the variance of a code by its C/N0 (40 dB-Hz where not known), at least the receiver's own word."""
     noise = _CN0_M2 * 10.0 ** (-0.1 * (cn0_dbhz if cn0_dbhz > 0.0 else 40.0))
     return max(noise, sigma_m * sigma_m) if sigma_m > 0.0 else noise
 
 
-@kernel
+@kernel_in_place
 def _combine(work: Vector, first_hz: float, second_m: float, second_hz: float, second_noise_m2: float) -> None:
     """Replace a code by its combination free of first-order ionosphere (IS-GPS-200N 20.3.3.3.3.3)."""
     if first_hz <= 0.0 or second_hz <= 0.0 or first_hz == second_hz:
@@ -128,7 +128,7 @@ def _combine(work: Vector, first_hz: float, second_m: float, second_hz: float, s
     work[IONOSPHERE] = 0.0
 
 
-@kernel
+@kernel_in_place
 def _range_rate_mps(satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: int, doppler_hz: Vector, first: int) -> float:
     """Return minus wavelength times Doppler of a row, or of the satellite's next row that has one; NaN without."""
     i = first

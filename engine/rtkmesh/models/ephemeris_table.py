@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import Ephemeris, GlonassEphemeris, KeplerEphemeris, NavigationMessage
 from rtkmesh.gnss.signals import BEIDOU, GALILEO, GLONASS, GPS, MAX_SATELLITE, NAVIC, NO_CHANNEL, QZSS, SATELLITES_PER_SYSTEM
@@ -234,7 +234,7 @@ def _seconds(time: GpsTime) -> float:
     return time.week * SECONDS_PER_WEEK + time.tow_s
 
 
-@kernel
+@kernel_in_place
 def select_issues(issues: Issues, satellites: NDArray[np.int16], time_s: float, include_unhealthy: bool, out: NDArray[np.float64]) -> None:
     """Write one row (n, ROW) per satellite as ``EphemerisTable.select`` says; ``time_s`` counts from the start of GPS time."""
     for i in range(len(satellites)):
@@ -250,7 +250,7 @@ def select_issues(issues: Issues, satellites: NDArray[np.int16], time_s: float, 
             out[i, 0] = 0.0
 
 
-@kernel
+@kernel_in_place
 def _first_in_reach(keys: NDArray[np.float64], count: int, time_s: float) -> int:
     """Return the first issue (in the order of toe) that any validity could reach from ``time_s``."""
     low, high = 0, count
@@ -263,7 +263,7 @@ def _first_in_reach(keys: NDArray[np.float64], count: int, time_s: float) -> int
     return low
 
 
-@kernel
+@kernel_in_place
 def _best_issue(rows: NDArray[np.float64], keys: NDArray[np.float64], count: int, time_s: float) -> int:
     """Return the issue nearest to ``time_s``; among those with practically one toe the last sent; -1 where none is valid."""
     first, nearest, least = _first_in_reach(keys, count, time_s), -1, np.inf
@@ -280,7 +280,7 @@ def _best_issue(rows: NDArray[np.float64], keys: NDArray[np.float64], count: int
     return best
 
 
-@kernel
+@kernel_in_place
 def _withdrawn(keys: NDArray[np.float64], count: int, best: int, time_s: float) -> bool:
     """Return whether the chosen issue, or the last one sent before ``time_s``, says that the satellite is unhealthy."""
     last = best

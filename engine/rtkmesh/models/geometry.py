@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.constants import OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.models.atmosphere import TROPOSPHERE, ionosphere_l1_m, troposphere_at, troposphere_m
@@ -27,7 +27,7 @@ _OMEGA = OMEGA_EARTH_GPS_RADPS
 _NEAR_EARTH_M = (6.3e6, 6.5e6)  # distances from the geocentre where there is an atmosphere to model
 
 
-@kernel
+@kernel_in_place
 def receiver_model(
     rows: Matrix,
     week: int,
@@ -73,7 +73,7 @@ def receiver_geometry(states: Matrix, week: int, tow_s: float, receiver_ecef_m: 
             geometry[i, IONOSPHERE_L1_M] = ionosphere_l1_m(klobuchar, geodetic[0], geodetic[1], azimuth, elevation, tow_s)
 
 
-@kernel
+@kernel_in_place
 def line_of_sight(state: Vector, receiver_ecef_m: Vector, out: Vector) -> None:
     """Write range and unit vector (RANGE to E_Z) to a satellite whose position is in the ECEF frame of its time of transmission.
 
@@ -92,7 +92,7 @@ def line_of_sight(state: Vector, receiver_ecef_m: Vector, out: Vector) -> None:
         out[E_X], out[E_Y], out[E_Z] = dx / distance, dy / distance, dz / distance
 
 
-@kernel
+@kernel_in_place
 def _look_angles(turn: Matrix, out: Vector) -> None:
     """Write azimuth (in [0, 2 pi)) and elevation of a unit vector; ``turn`` is enu_from_ecef."""
     e = turn[0, 0] * out[E_X] + turn[0, 1] * out[E_Y] + turn[0, 2] * out[E_Z]

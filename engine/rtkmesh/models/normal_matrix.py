@@ -5,13 +5,13 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@kernel
+@kernel_in_place
 def invert_positive_definite(matrix: Matrix, out: Matrix) -> bool:
     """Write the inverse of a symmetric positive definite matrix (n, n); False, with ``out`` spoilt, if it is none to working precision.
 

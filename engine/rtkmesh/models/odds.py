@@ -3,7 +3,7 @@
 from math import log
 from typing import Final
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 
 PRIOR_DOF: Final = 4.0  # how well the variance level is known before the norms are seen: see log_odds
 NORM_LIMIT: Final = 8.0  # squared norm per ambiguity that honest float solutions do not exceed
@@ -12,7 +12,7 @@ NORM_LIMIT: Final = 8.0  # squared norm per ambiguity that honest float solution
 SURENESS: Final = 1.5  # c at the base: log odds are too sure by this
 
 
-@kernel
+@kernel_in_place
 def log_odds(best: float, other: float, count: int) -> float:
     """Return the natural logarithm of the odds of the best integer vector (squared norm ``best``) against another.
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.constants import (
     BDT_MINUS_GPST_S,
@@ -54,7 +54,7 @@ from rtkmesh.models.ephemeris_table import (
     TOE_TOW,
     TOE_WEEK,
 )
-from rtkmesh.models.glonass_orbit import propagate_state
+from rtkmesh.models.glonass_orbit import Six, propagate_state
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -74,7 +74,7 @@ _GEO_TILT_RAD = radians(-5.0)  # BDS-SIS-ICD-B1I-3.0 table 5-11
 _FNAV = 2.0  # NavigationMessage.FNAV as a row holds it
 
 
-@kernel
+@kernel_in_place
 def satellite_states(rows: Matrix, week: int, tow_s: float, pseudoranges_m: Vector, out: Matrix) -> int:
     """Write the state (n, STATE) of each satellite when it sent what was received at a receiver time tag; return how many are OK.
 
@@ -98,7 +98,7 @@ def satellite_states(rows: Matrix, week: int, tow_s: float, pseudoranges_m: Vect
     return valid
 
 
-@kernel
+@kernel_in_place
 def satellite_clock_s(row: Vector, week: int, tow_s: float) -> float:
     """Return the broadcast clock polynomial (s) when the satellite's own clock reads this; relativistic term left out.
 
@@ -111,7 +111,7 @@ def satellite_clock_s(row: Vector, week: int, tow_s: float) -> float:
     return row[AF0] + row[AF1] * dt + row[AF2] * dt * dt
 
 
-@kernel
+@kernel_in_place
 def satellite_state(row: Vector, week: int, tow_s: float, out: Vector) -> None:
     """Write position, velocity, clock, clock rate and variance (STATE) at a GPST instant; OK is left to the caller."""
     dt = (week - row[TOC_WEEK]) * SECONDS_PER_WEEK + (tow_s - row[TOC_TOW])
@@ -128,7 +128,7 @@ def satellite_state(row: Vector, week: int, tow_s: float, out: Vector) -> None:
     propagate_state(out[:6], row[ACCELERATION : ACCELERATION + 3], tk)
 
 
-@kernel
+@kernel_in_place
 def _kepler_state(row: Vector, tk: float, out: Vector) -> None:
     """Write position and velocity, and add the relativistic clock term; ``tk`` is the time (s) from toe."""
     satellite, toe_s = int(row[SATELLITE]), row[TOE_TOW]
@@ -138,8 +138,7 @@ def _kepler_state(row: Vector, tk: float, out: Vector) -> None:
         mu, omega_earth = MU_GALILEO_M3_S2, OMEGA_EARTH_GALILEO_RADPS
     elif system == BEIDOU:
         mu, omega_earth, toe_s = MU_BEIDOU_M3_S2, OMEGA_EARTH_BEIDOU_RADPS, row[TOE_TOW] + BDT_MINUS_GPST_S
-    plane = np.empty(6)
-    _motion_in_plane(row, tk, mu, plane, out)
+    plane = _motion_in_plane(row, tk, mu, out)
     node = row[OMEGA0] + row[OMEGA_DOT] * tk - omega_earth * toe_s
     if is_geostationary(satellite):
         _turn_plane(plane, node, row[OMEGA_DOT], out)
@@ -148,7 +147,7 @@ def _kepler_state(row: Vector, tk: float, out: Vector) -> None:
         _turn_plane(plane, node - omega_earth * tk, row[OMEGA_DOT] - omega_earth, out)
 
 
-@kernel
+@kernel_in_place
 def eccentric_anomaly(mean_anomaly_rad: float, eccentricity: float) -> float:
     """Solve Kepler's equation by Newton's method; converges for every eccentricity that the table lets in (below 0.5)."""
     e_k = mean_anomaly_rad
@@ -160,9 +159,9 @@ def eccentric_anomaly(mean_anomaly_rad: float, eccentricity: float) -> float:
     return e_k
 
 
-@kernel
-def _motion_in_plane(row: Vector, tk: float, mu: float, plane: Vector, out: Vector) -> None:
-    """Write the motion in the orbital plane (x, y, their rates, inclination, its rate); add the relativistic clock term to ``out``.
+@kernel_in_place
+def _motion_in_plane(row: Vector, tk: float, mu: float, out: Vector) -> Six:
+    """Return the motion in the orbital plane (x, y, their rates, inclination, its rate); add the relativistic clock term to ``out``.
 
     IS-GPS-200N table 20-IV (position, velocity) and 20.3.3.3.3.1 (relativistic term -2 sqrt(mu) / c2 e sqrt(A) sin E).
     """
@@ -178,31 +177,31 @@ def _motion_in_plane(row: Vector, tk: float, mu: float, plane: Vector, out: Vect
     r = a * (1.0 - e * cos_e) + row[CRS] * s2 + row[CRC] * c2
     u_rate = phi_rate * (1.0 + 2.0 * (row[CUS] * c2 - row[CUC] * s2))
     r_rate = a * e * sin_e * e_rate + 2.0 * phi_rate * (row[CRS] * c2 - row[CRC] * s2)
-    plane[0], plane[1] = r * cos(u), r * sin(u)
-    plane[2] = r_rate * cos(u) - plane[1] * u_rate
-    plane[3] = r_rate * sin(u) + plane[0] * u_rate
-    plane[4] = row[I0] + row[IDOT] * tk + row[CIS] * s2 + row[CIC] * c2
-    plane[5] = row[IDOT] + 2.0 * phi_rate * (row[CIS] * c2 - row[CIC] * s2)
+    x, y = r * cos(u), r * sin(u)
+    vx, vy = r_rate * cos(u) - y * u_rate, r_rate * sin(u) + x * u_rate
+    inclination = row[I0] + row[IDOT] * tk + row[CIS] * s2 + row[CIC] * c2
+    inclination_rate = row[IDOT] + 2.0 * phi_rate * (row[CIS] * c2 - row[CIC] * s2)
     factor = -2.0 * sqrt(mu) * row[SQRT_A] * e / (_C * _C)
     out[STATE_CLOCK] += factor * sin_e
     out[STATE_CLOCK_RATE] += factor * cos_e * e_rate
+    return x, y, vx, vy, inclination, inclination_rate
 
 
-@kernel
-def _turn_plane(plane: Vector, node: float, node_rate: float, out: Vector) -> None:
+@kernel_in_place
+def _turn_plane(plane: Six, node: float, node_rate: float, out: Vector) -> None:
     """Write position and velocity of a motion in a plane with this longitude of the ascending node (rad, rad/s)."""
-    x, y, vx, vy = plane[0], plane[1], plane[2], plane[3]
-    so, co, si, ci = sin(node), cos(node), sin(plane[4]), cos(plane[4])
+    x, y, vx, vy, inclination, inclination_rate = plane
+    so, co, si, ci = sin(node), cos(node), sin(inclination), cos(inclination)
     out[0] = x * co - y * ci * so
     out[1] = x * so + y * ci * co
     out[2] = y * si
-    across_rate = vy * ci - y * si * plane[5]
+    across_rate = vy * ci - y * si * inclination_rate
     out[3] = vx * co - across_rate * so - out[1] * node_rate
     out[4] = vx * so + across_rate * co + out[0] * node_rate
-    out[5] = vy * si + y * ci * plane[5]
+    out[5] = vy * si + y * ci * inclination_rate
 
 
-@kernel
+@kernel_in_place
 def _turn_geostationary(omega_earth: float, tk: float, out: Vector) -> None:
     """Take a BeiDou GEO state in place from its tilted inertial frame to ECEF: Rz(omega tk) Rx(-5 deg) (BDS-SIS-ICD-B1I-3.0, 5.2.4.12)."""
     s5, c5 = sin(_GEO_TILT_RAD), cos(_GEO_TILT_RAD)
@@ -216,7 +215,7 @@ def _turn_geostationary(omega_earth: float, tk: float, out: Vector) -> None:
     out[4] -= omega_earth * out[0]
 
 
-@kernel
+@kernel_in_place
 def group_delay_m(row: Vector, signal: int) -> float:
     """Return how much (m) a code of this signal is longer than the broadcast clock says; model = range - c * clock + this.
 
@@ -238,7 +237,7 @@ def group_delay_m(row: Vector, signal: int) -> float:
     return _C * row[DELAY_1] * _square_over_l1(band)
 
 
-@kernel
+@kernel_in_place
 def _square_over_l1(band: int) -> float:
     """Return (f of L1 / f of band)^2 for the bands of GPS, Galileo and QZSS."""
     if band == 2:
@@ -252,7 +251,7 @@ def _square_over_l1(band: int) -> float:
     return (154.0 / 116.5) ** 2 if band == 8 else 1.0
 
 
-@kernel
+@kernel_in_place
 def _galileo_delay_m(row: Vector, band: int) -> float:
     """Galileo: DELAY_1 is BGD(E1, E5a), DELAY_2 BGD(E1, E5b); the F/NAV clock is of E1 and E5a, the I/NAV clock of E1 and E5b."""
     own = row[DELAY_1] if row[MESSAGE] == _FNAV else row[DELAY_2]

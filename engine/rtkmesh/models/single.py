@@ -208,7 +208,7 @@ class Located(NamedTuple):
 
 def locate_epoch(epoch: Epoch, issues: Issues, setup: PointSetup, start_ecef_m: Vector) -> Located:
     """Find position and velocity of a receiver as ``locate`` does."""
-    return _locate(tuple(epoch.signals), tuple(issues), tuple(setup), start_ecef_m)
+    return _locate(epoch.plain_signals, tuple(issues), tuple(setup), start_ecef_m)
 
 
 @kernel

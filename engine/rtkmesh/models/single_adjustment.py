@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.constants import OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
 from rtkmesh.models.code_selection import (
     CLOCKS,
@@ -57,7 +57,7 @@ _C = SPEED_OF_LIGHT_MPS
 _OMEGA = OMEGA_EARTH_GPS_RADPS
 
 
-@kernel
+@kernel_in_place
 def adjust_position(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow_s: float, klobuchar: Vector, setup: Vector,
                     position: Vector, clocks_m: Vector, cofactor: Matrix, quality: Vector) -> int:  # fmt: skip
     """Find position (m, ECEF; in: where to start) and receiver clocks (m, one per group) with the inverse of their normal matrix.
@@ -118,14 +118,14 @@ def _converge(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow_s: 
     return NO_CONVERGENCE
 
 
-@kernel
+@kernel_in_place
 def _ranges_only(states: Matrix, position: Vector, geometry: Matrix) -> None:
     for i in range(states.shape[0]):
         if states[i, STATE_OK] != 0.0:
             line_of_sight(states[i], position, geometry[i])
 
 
-@kernel
+@kernel_in_place
 def _variances(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector) -> None:
     """Write the variance (m2) of each code: noise by elevation and C/N0, broadcast accuracy, ionosphere and troposphere models."""
     for i in range(work.shape[0]):
@@ -135,7 +135,7 @@ def _variances(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector) ->
         work[i, VARIANCE] = noise + _ORBIT_PART * states[i, STATE_VARIANCE] + ionosphere**2 + (_TROPOSPHERE_SIGMA_M / sine) ** 2
 
 
-@kernel
+@kernel_in_place
 def _residuals(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector, clocks_m: Vector) -> None:
     for i in range(work.shape[0]):
         delay = setup[3] * work[i, IONOSPHERE] * geometry[i, IONOSPHERE_L1_M] + setup[4] * geometry[i, TROPOSPHERE_M]
@@ -162,7 +162,7 @@ def _centre_clocks(work: Matrix, clocks_m: Vector) -> None:
                 work[i, RESIDUAL] -= shift
 
 
-@kernel
+@kernel_in_place
 def _weights(work: Matrix, norm: float) -> None:
     """Write 1 / VARIANCE, times sigma / |residual| beyond one sigma for the L1 norm (by reweighting)."""
     for i in range(work.shape[0]):
@@ -207,7 +207,7 @@ def _solve(work: Matrix, geometry: Matrix, cofactor: Matrix, step: Vector) -> in
     return CONVERGED
 
 
-@kernel
+@kernel_in_place
 def _part_of_fit(work: Matrix, geometry: Matrix, cofactor: Matrix, i: int) -> float:
     """Return h Q h' (m2): the variance of the modelled code of a satellite."""
     group = 3 + int(work[i, GROUP])
@@ -219,7 +219,7 @@ def _part_of_fit(work: Matrix, geometry: Matrix, cofactor: Matrix, i: int) -> fl
     return total
 
 
-@kernel
+@kernel_in_place
 def _normalised(work: Matrix, geometry: Matrix, cofactor: Matrix, i: int) -> float:
     """Return residual over its own sigma (Baarda's w); 0 where no other satellite controls it."""
     variance = work[i, VARIANCE] - _part_of_fit(work, geometry, cofactor, i)
@@ -228,7 +228,7 @@ def _normalised(work: Matrix, geometry: Matrix, cofactor: Matrix, i: int) -> flo
     return abs(work[i, RESIDUAL]) / sqrt(variance)
 
 
-@kernel
+@kernel_in_place
 def _is_doubtful(work: Matrix, geometry: Matrix, cofactor: Matrix) -> bool:
     """Return whether any normalised residual is beyond the limit at the modelled noise: many outliers raise the scale that hides them."""
     largest = 0.0
@@ -257,13 +257,13 @@ def _scaled_worst(work: Matrix, geometry: Matrix, cofactor: Matrix) -> int:
     return worst if largest > _LIMIT * _scale_of(values[:count]) else -1
 
 
-@kernel
+@kernel_in_place
 def _scale_of(sizes: Vector) -> float:
     """Return the robust scale (median of absolute normalised residuals over that of a normal variable) between 1 and _MOST_SCALE."""
     return min(max(1.4826 * _median(sizes), 1.0), _MOST_SCALE)
 
 
-@kernel
+@kernel_in_place
 def _median(values: Vector) -> float:
     """Return the (upper) median and leave the values sorted (own insertion sort: np.sort costs two seconds of compilation)."""
     for i in range(1, len(values)):
@@ -301,14 +301,14 @@ def _robust_start(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow
             work[i, USED] = states[i, STATE_OK]
 
 
-@kernel
+@kernel_in_place
 def _mask_low(work: Matrix, geometry: Matrix, mask_rad: float) -> None:
     for i in range(work.shape[0]):
         if not geometry[i, ELEVATION] >= mask_rad:
             work[i, USED] = 0.0
 
 
-@kernel
+@kernel_in_place
 def _exclude(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow_s: float, klobuchar: Vector, setup: Vector, position: Vector,
              clocks_m: Vector, cofactor: Matrix) -> int:  # fmt: skip
     """Adjust, drop the worst satellite, again, until no normalised residual is beyond the limit."""
@@ -357,7 +357,7 @@ def _freedom(work: Matrix) -> int:
     return free
 
 
-@kernel
+@kernel_in_place
 def _chi_square(work: Matrix) -> float:
     """Return the weighted sum of squared code residuals of the used satellites."""
     total = 0.0
@@ -381,7 +381,7 @@ def _dilution(work: Matrix, geometry: Matrix) -> float:
     return sqrt(cofactor[0, 0] + cofactor[1, 1] + cofactor[2, 2])
 
 
-@kernel
+@kernel_in_place
 def adjust_velocity(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector, position: Vector, velocity: Vector,
                     cofactor: Matrix, quality: Vector) -> int:  # fmt: skip
     """Find velocity (m/s, ECEF) and receiver clock rate (m/s) in ``velocity`` (4) from range rates, with their covariance (4, 4).
@@ -420,7 +420,7 @@ def adjust_velocity(work: Matrix, states: Matrix, geometry: Matrix, setup: Vecto
     return NO_CONVERGENCE
 
 
-@kernel
+@kernel_in_place
 def _rate_residuals(work: Matrix, states: Matrix, geometry: Matrix, position: Vector, velocity: Vector) -> None:
     """Write observed minus modelled range rates (m/s): derivative of the range between transmission and reception.
 
@@ -440,7 +440,7 @@ def _rate_residuals(work: Matrix, states: Matrix, geometry: Matrix, position: Ve
         work[i, RATE_RESIDUAL] = work[i, RATE] - modelled
 
 
-@kernel
+@kernel_in_place
 def _rate_variance(geometry: Matrix, sigma_mps: float, i: int) -> float:
     return (0.5 * sigma_mps * (1.0 + 1.0 / max(sin(geometry[i, ELEVATION]), 0.05))) ** 2
 

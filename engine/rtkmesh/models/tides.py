@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.constants import SECONDS_PER_DAY
 
 Vector = NDArray[np.float64]
@@ -78,7 +78,7 @@ def _from_ecliptic(longitude_rad: float, latitude_rad: float, distance_m: float)
     return distance_m * np.array((x, y * cos(obliquity) - z * sin(obliquity), y * sin(obliquity) + z * cos(obliquity)))
 
 
-@kernel
+@kernel_in_place
 def earth_rotation_rad(week: int, tow_s: float) -> float:
     """Return Greenwich mean sidereal time at a GPST (Aoki et al. 1982, linear part; UT1 is taken for UTC)."""
     days = _GPS_EPOCH_DAYS + 7.0 * week + (tow_s - _GPST_MINUS_UT_S) / SECONDS_PER_DAY

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.models.odds import NORM_LIMIT
 from rtkmesh.rtk.ambiguity import Candidates, Search, compare_integers, search, take
@@ -110,7 +110,7 @@ def try_new(
     memory[SHOWN] = 1.0 if good or clear or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
 
 
-@kernel
+@kernel_in_place
 def log_space(f: Filter) -> float:
     """Return the logarithm of the space in which integers are looked for, over that of a sigma of WIDE_M (0 at least).
 
@@ -153,7 +153,7 @@ def _best_subset(f: Filter, candidates: Candidates, free: Search, setup: Resolve
     return best
 
 
-@kernel
+@kernel_in_place
 def _weakest(candidates: Candidates, left: NDArray[np.bool_]) -> int:
     """Return the first row of the satellite with the smallest weight among those that are left, -1 if there is none."""
     weakest = -1
@@ -206,7 +206,7 @@ def bears_out(f: Filter, sloped: Search, straight: Search) -> bool:
     return clear and bool((sloped.integers[own] == straight.integers[own]).all())
 
 
-@kernel
+@kernel_in_place
 def _strong(found: Search, penalty: float, setup: ResolveSetup, asked: float) -> bool:
     count = len(found.pairs)
     if not found.resolved or count < setup.minimum_ambiguities:
@@ -225,7 +225,7 @@ def _follow(f: Filter, found: Search, memory: Vector, time_s: float) -> None:
     f.history[:, STREAK] = found.values
 
 
-@kernel
+@kernel_in_place
 def _hold(f: Filter, found: Search) -> None:
     """Make these integers the held ones, and only these; a group's reference gets its rounded float value."""
     release(f)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 from rtkmesh.rtk.memory import CONFIRMED, LAST_FIX_S, MISSED, SINCE_SEARCH, UNAGREED
 
 Vector = NDArray[np.float64]
@@ -22,7 +22,7 @@ MISSED_S: Final = 3.0  # this long, after which a search must agree again
 DEPARTURE_ALONE: Final = 2.0  # squared departure from the prediction, where others may have ``validation.DEPARTURE_LIMIT``
 
 
-@kernel
+@kernel_in_place
 def stands_alone(memory: Vector, away: float, time_s: float) -> bool:
     """Return whether a fix is not to be shown before a search agrees with it; ``away`` is its squared departure from the prediction."""
     if memory[UNAGREED] == 0.0 or memory[SINCE_SEARCH] > 1.0:  # large sets that are sure are not searched in every epoch
@@ -31,7 +31,7 @@ def stands_alone(memory: Vector, away: float, time_s: float) -> bool:
     return bool(memory[CONFIRMED] < CONFIRMED_LEAST or returns or away > DEPARTURE_ALONE)
 
 
-@kernel
+@kernel_in_place
 def note_fix(memory: Vector, fixed: bool, time_s: float) -> None:
     """Remember when there was a fix, and count the epochs without one."""
     memory[MISSED] = 0.0 if fixed else memory[MISSED] + 1.0

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.filter import factor, posterior
@@ -138,7 +138,7 @@ def choose_references(states: Indices, groups: Indices, weight: Vector, out: Ind
     return n
 
 
-@kernel
+@kernel_in_place
 def difference(x: Vector, P: Matrix, pairs: Indices, a: Vector, Q: Matrix) -> None:
     """Write the double differences (cycles) of (state, reference) pairs (n x 2) and their covariance (n x n)."""
     for k in range(pairs.shape[0]):
@@ -236,7 +236,7 @@ def gain_of(x: Vector, P: Matrix, pairs: Indices, gain: Matrix, mean: Vector, co
     return True
 
 
-@kernel
+@kernel_in_place
 def held_references(new_group: Indices, held_group: Indices, held_weight: Vector, out: Indices) -> int:
     """Write per new ambiguity which held one of its group has the largest weight, -1 for none; return how many have one."""
     count = 0
@@ -249,7 +249,7 @@ def held_references(new_group: Indices, held_group: Indices, held_weight: Vector
     return count
 
 
-@kernel
+@kernel_in_place
 def pack_pairs(pairs: Indices, wanted: Indices) -> int:
     """Number the states of pairs (n x 2) anew, in place, by their order in ``wanted`` (written, sorted); return how many these are."""
     count = 0
@@ -280,7 +280,7 @@ def held_differences(f: Filter, pairs: Indices) -> Vector:
     return out
 
 
-@kernel
+@kernel_in_place
 def add_constraints(pairs: Indices, x: Vector, integers: Vector, variance: float, N: Matrix, b: Vector) -> None:
     """Add double differences as observations of this variance (cycles squared) to normal equations for corrections of x."""
     w = 1.0 / variance

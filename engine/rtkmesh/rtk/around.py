@@ -34,16 +34,16 @@ class Past(NamedTuple):
         """Return a past of its own."""
         return Past(*(part.copy() for part in self))
 
-    def learned(self) -> tuple[Matrix, Matrix]:
-        """Return what is known of the noise, to be held against what an epoch makes of it."""
-        return self.scale.copy(), self.informed_scale.copy()
+    def learned(self, step_s: float) -> tuple[Matrix, Matrix] | None:
+        """Return what is known of the noise, to be held against what an epoch makes of it, if that counts in part after ``step_s``."""
+        return (self.scale.copy(), self.informed_scale.copy()) if step_s < FULL_STEP_S else None
 
-    def count_in_part(self, before: tuple[Matrix, Matrix], step_s: float) -> None:
+    def count_in_part(self, before: tuple[Matrix, Matrix] | None, step_s: float) -> None:
         """Let what an epoch has taught of the noise since ``before`` count for its part, when it came ``step_s`` after the last one.
 
         At more than 1 Hz most errors of an epoch are those of the epoch before it. What is learned lasts for seconds, not for epochs.
         """
-        if not step_s < FULL_STEP_S:
+        if before is None:
             return
         for scale, then in zip((self.scale, self.informed_scale), before, strict=True):
             for part in (np.s_[:PHASE], np.s_[PHASE, :PLACE_SQUARES]):  # places of codes know of time

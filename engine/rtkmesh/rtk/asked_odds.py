@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel_in_place
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
 from rtkmesh.rtk.noise import DOF, SCALE_PRIOR_DOF, SQUARES
 
@@ -27,25 +27,25 @@ ASKED_OF_STREETS: Final = 9.0
 DOUBLED_M: Final = 10e3  # one epoch cannot tell its atmosphere: there log odds are worth half (``integrity.sureness``)
 
 
-@kernel
+@kernel_in_place
 def code_level(scale: Matrix) -> float:
     """Return the variance factor of all codes together, by what their residuals have shown (``noise``)."""
     return (SCALE_PRIOR_DOF + scale[SQUARES].sum()) / (SCALE_PRIOR_DOF + scale[DOF].sum())
 
 
-@kernel
+@kernel_in_place
 def is_reflected(level: float) -> bool:
     """Return whether codes of this variance factor (infinite: not known) are worse than those of patches in the open."""
     return isfinite(level) and level > FAIR_CODES
 
 
-@kernel
+@kernel_in_place
 def is_street(level: float) -> bool:
     """Return whether codes of this variance factor (infinite: not known) are those of a place with many reflections."""
     return isfinite(level) and level > STREET_CODES
 
 
-@kernel
+@kernel_in_place
 def asked_odds(level: float, witnessed: bool, baseline_m: Vector) -> float:
     """Return the log odds from which one search is believed at once, for codes of this variance factor and this baseline (m); ``witnessed``
     is one whose odds are those with GLONASS (``witness``).

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.gnss.signals import GLONASS, SBAS
 from rtkmesh.rtk.ambiguity import Candidates
@@ -69,7 +69,7 @@ class Walks(NamedTuple):
     slope: tuple[float, float]
 
 
-@kernel
+@kernel_in_place
 def is_finite(x: Vector, P: Matrix) -> bool:
     """Return whether nothing has overflowed, or would when it is squared."""
     for i in range(len(x)):
@@ -81,7 +81,7 @@ def is_finite(x: Vector, P: Matrix) -> bool:
     return True
 
 
-@kernel
+@kernel_in_place
 def seed(f: Filter, baseline_ecef_m: Vector, sigmas: Vector) -> None:
     """Begin the dynamic states anew with these sigmas of position, velocity and acceleration; the keyed states stay."""
     for i in range(DYNAMIC):
@@ -110,7 +110,7 @@ def move(f: Filter, dt_s: float, motion: Motion, base_ecef_m: Vector, sigmas: Ve
     predict_motion(f.x, f.P, dt_s, motion.decay_s, Q)
 
 
-@kernel
+@kernel_in_place
 def advance(f: Filter, dt_s: float, moving: bool, motion: Motion, base_ecef_m: Vector, walks: Walks, sigmas: Vector) -> bool:
     """Move the filter on by ``dt_s``; return whether it is still finite."""
     if moving:
@@ -120,7 +120,7 @@ def advance(f: Filter, dt_s: float, moving: bool, motion: Motion, base_ecef_m: V
     return is_finite(f.x, f.P)
 
 
-@kernel
+@kernel_in_place
 def grow(P: Matrix, keys: Indices, dynamic: int, walks: Walks, dt_s: float) -> None:
     """Add to the variances of the keyed states what their random walks add in this step."""
     for k in range(len(keys)):
@@ -134,7 +134,7 @@ def grow(P: Matrix, keys: Indices, dynamic: int, walks: Walks, dt_s: float) -> N
         P[dynamic + k, dynamic + k] += walk * walk * dt_s
 
 
-@kernel
+@kernel_in_place
 def relax(f: Filter, memory_s: float, dt_s: float) -> None:
     """Let ionospheres forget what they were and become of their usual size again, within their memory (first-order Gauss-Markov process;
     Gelb 1974, Applied Optimal Estimation, 2.2).
@@ -147,8 +147,10 @@ def relax(f: Filter, memory_s: float, dt_s: float) -> None:
             continue
         i = DYNAMIC + k
         f.x[i] *= keep
-        f.P[i, :] *= keep
-        f.P[:, i] *= keep
+        for j in range(len(f.x)):
+            f.P[i, j] *= keep
+        for j in range(len(f.x)):
+            f.P[j, i] *= keep
         f.P[i, i] += (1.0 - keep * keep) * f.history[k, USUAL_M] ** 2
 
 
@@ -175,7 +177,7 @@ def wanted_keys(pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, 
     return keys[:count].copy()
 
 
-@kernel
+@kernel_in_place
 def _insert(keys: Indices, count: int, key: int) -> int:
     """Put a key in its place among the first ``count`` (sorted, each once); return how many there are now."""
     place = count
@@ -189,7 +191,7 @@ def _insert(keys: Indices, count: int, key: int) -> int:
     return count + 1
 
 
-@kernel
+@kernel_in_place
 def find_places(
     keys: Indices, pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, phases: bool, atmosphere: bool, ambiguity: Indices,
     ionosphere: Indices,
@@ -200,7 +202,7 @@ def find_places(
         ionosphere[k] = place_of(keys, int(satellite[k])) if atmosphere else -1
 
 
-@kernel
+@kernel_in_place
 def apply_slips(x: Vector, P: Matrix, history: Matrix, place: Indices, verdicts: Verdicts, dynamic: int, time_s: float) -> None:
     """Deal with slips and with phases that did not fit twice.
 
@@ -225,7 +227,7 @@ def apply_slips(x: Vector, P: Matrix, history: Matrix, place: Indices, verdicts:
             row[ARC_EPOCHS] = -1.0
 
 
-@kernel
+@kernel_in_place
 def _move_certainly(x: Vector, row: Vector, i: int, jump_cyc: float) -> bool:
     """Move an ambiguity by a number of half cycles; an odd one stays in the phase of a held integer. False where it cannot stay there."""
     whole = np.floor(jump_cyc)
@@ -240,7 +242,7 @@ def _move_certainly(x: Vector, row: Vector, i: int, jump_cyc: float) -> bool:
     return True
 
 
-@kernel
+@kernel_in_place
 def take_half_cycles(table: Matrix, history: Matrix, place: Indices) -> None:
     """Take from the phases the half cycles that they are off their integers."""
     for k in range(len(place)):
@@ -248,7 +250,7 @@ def take_half_cycles(table: Matrix, history: Matrix, place: Indices) -> None:
             table[k, PHASE] -= history[place[k], HALF_CYC] * table[k, WAVELENGTH]
 
 
-@kernel
+@kernel_in_place
 def begin_ambiguities(
     x: Vector, P: Matrix, history: Matrix, place: Indices, satellite: NDArray[np.int16], table: Matrix, dynamic: int, time_s: float
 ) -> None:
@@ -272,7 +274,7 @@ def inflations(history: Matrix, place: Indices, code_since_s: Vector) -> Vector:
     return out
 
 
-@kernel
+@kernel_in_place
 def remember(f: Filter, d: Differences, layout: Layout, phase_used: NDArray[np.bool_], time_s: float) -> None:
     """Write what the next epoch must know of the phases of this one."""
     for k in range(len(layout.ambiguity)):
@@ -312,7 +314,7 @@ def find_candidates(
     return Candidates(row, group, satellite, weight)
 
 
-@kernel
+@kernel_in_place
 def systems_of(satellite: NDArray[np.int16]) -> int:
     """Return a bit per system that the satellites belong to."""
     bits = 0
@@ -362,7 +364,7 @@ def lay_out(
     return Arranged(f, layout, tested.redundancy, tested.rover.step_m, tested.rover.cov_m2)
 
 
-@kernel
+@kernel_in_place
 def begin_shared(f: Filter, walks: Walks, time_s: float, ionosphere: Indices) -> None:
     """Give a value to new states of the atmosphere and of the GLONASS slope; those of this epoch's satellites (``ionosphere``) and of none
     count as seen.

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import MAX_SATELLITE, SIGNALS_PER_SATELLITE, band_of
 from rtkmesh.rtk.matching import Pairs
 
@@ -41,7 +41,7 @@ def since_seen(seen_s: Matrix, pairs: Pairs, coded: NDArray[np.bool_], time_s: f
     return since_s
 
 
-@kernel
+@kernel_in_place
 def inflation_of(since_s: float, carried: bool) -> float:
     """Return by how much the variance of a code is inflated that was seen so long ago."""
     memory_s = CARRIED_S if carried else ALONE_S

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.code_places import learn_place, place_factor
@@ -74,7 +74,7 @@ def float_factor(
     return factor if length_m < FAR_M else max(factor, 1.0)
 
 
-@kernel
+@kernel_in_place
 def residual(ranges: Ranges, epoch: Epochwise, k: int) -> float:
     """Return the residual (m) of a range against its epoch's own position and clock."""
     sums, row = epoch.sums[ranges.group[k]], ranges.rows[k]
@@ -84,7 +84,7 @@ def residual(ranges: Ranges, epoch: Epochwise, k: int) -> float:
     return value
 
 
-@kernel
+@kernel_in_place
 def take(row: Vector, residual_m: float, variance_m2: float, grown_m2: float) -> None:
     """Average a code residual into what an ambiguity has taken, as the filter does; a new ambiguity takes all of it."""
     if row[ARC_EPOCHS] <= 1.0 or not isfinite(row[TAKEN_M2] + grown_m2):
@@ -96,7 +96,7 @@ def take(row: Vector, residual_m: float, variance_m2: float, grown_m2: float) ->
     row[TAKEN_M2] = (1.0 - gain) * believed
 
 
-@kernel
+@kernel_in_place
 def factor_of(squares: float, dof: float) -> float:
     """Return the expected factor: of a variance that is known from squares with so many degrees of freedom, 1 / variance is larger by
     dof / (dof - 2).

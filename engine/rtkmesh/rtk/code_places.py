@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.rtk.noise import PHASE
 from rtkmesh.rtk.separation import UNKNOWNS, Epochwise
 from rtkmesh.rtk.state import Filter
@@ -36,7 +36,7 @@ CHANCE: Final = 1.3  # so much a minute of multipath that lasts for half a minut
 MOST_PER_DOF: Final = 60.0  # one code that is hundreds of metres off is no scatter
 
 
-@kernel
+@kernel_in_place
 def place_factor(scale: Matrix) -> float:
     """Return by what factor the variance of floats is larger than residuals say, 1 at least, as the places of codes scatter."""
     scatter = (PRIOR_DOF + scale[PHASE, PLACE_SQUARES]) / (PRIOR_DOF + scale[PHASE, PLACE_DOF])

@@ -51,6 +51,9 @@ _RESEED_S: Final = 4.0  # beyond this gap the motion model says nothing and the 
 _FORGET_S: Final = 65.0  # beyond this gap nothing is left
 _ABSURD_CODE_M: Final = 12.0  # no receiver's codes are that bad together: the phases carry a wrong position
 _ABSURD_EPOCHS: Final = 3
+_MOVING: Final = (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.DGPS)
+_STATIC_START: Final = Mode.STATIC_START  # members of enumerations that every epoch asks for: each look-up is 0.1 us
+_REMEMBERING: Final = (AmbiguityMode.CONTINUOUS, AmbiguityMode.FIX_AND_HOLD)
 _ANEW: Final = (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.STATIC, Mode.STATIC_START)  # where an epoch may be solved without its past as well
 _NOWHERE: Final = np.full(3, nan)
 _UNKNOWN: Final = np.full((3, 3), nan)
@@ -98,8 +101,12 @@ class Rtk:
             self.reset()
 
     def _use(self, setup: Setup) -> None:
-        """Take what the options say to kernels."""
+        """Take what the options say to kernels, and of modes what every epoch asks for."""
         self._setup, self._plain_setup = setup, plain(setup)
+        self._base_moves, self._is_fixed = self.options.mode is Mode.MOVING_BASE, self.options.mode is Mode.FIXED
+        self._is_single, self._is_instantaneous = (
+            self.options.mode is Mode.SINGLE, self.options.ambiguity.mode is AmbiguityMode.INSTANTANEOUS,
+        )  # fmt: skip
 
     def with_other_base(self) -> "Rtk":
         """Return an engine for the same rover and another base: what does not depend on the base goes on, this engine is not changed.
@@ -173,7 +180,7 @@ class Rtk:
         changes nothing: a code bias that all channels share is part of the group's clock. ``earlier_bases`` are base epochs that were
         recorded before this one, newest first, for the systems that it lacks; None: those of the steps before.
         """
-        if self.options.ambiguity.mode is AmbiguityMode.INSTANTANEOUS:
+        if self._is_instantaneous:
             self._forget()
         if klobuchar is not self._klobuchar:
             self._klobuchar, self._point = klobuchar, self._point_setup(klobuchar)
@@ -181,18 +188,18 @@ class Rtk:
         single = locate_epoch(rover, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
         self._single = single
         self._rates[0].learn(rover.time, single.quality)
-        if self.options.mode is Mode.SINGLE:
+        if self._is_single:
             return self._alone(rover, base, single)
-        if base is not None and self.options.mode is Mode.MOVING_BASE:
+        if base is not None and self._base_moves:
             base_single = locate_epoch(base, issues, self._point, _NOWHERE if base_position_ecef_m is None else base_position_ecef_m)
             self._rates[1].learn(base.time, base_single.quality)
             base_position_ecef_m = base_single.position_ecef_m if base_single.status == CONVERGED else None
             base = at_instant_of(rover, single, base, base_single, issues)
         reason = self._obstacle(rover, base, base_position_ecef_m)
-        if reason is not Reason.OK or base is None or base_position_ecef_m is None:
+        if reason is not None or base is None or base_position_ecef_m is None:
             return replace(self._alone(rover, base, single), reason=reason)
         bases = [base]
-        if self.options.mode is not Mode.MOVING_BASE:
+        if not self._base_moves:
             bases = complemented(rover, base, self._bases.before(base) if earlier_bases is None else earlier_bases)
         around = Around(rover, bases, issues, (single, base_single), base_position_ecef_m)
         return self._doubted(self._relative(around))
@@ -215,43 +222,44 @@ class Rtk:
             excluded=o.excluded,
         ))  # fmt: skip
 
-    def _obstacle(self, rover: Epoch, base: Epoch | None, base_position_ecef_m: Vector | None) -> Reason:
-        """Return why there can be no relative solution."""
+    def _obstacle(self, rover: Epoch, base: Epoch | None, base_position_ecef_m: Vector | None) -> Reason | None:
+        """Return why there can be no relative solution; None where there can."""
         if base is None:
             return Reason.NO_BASE
-        limit = self.options.time_tolerance_s if self.options.mode is Mode.MOVING_BASE else self.options.max_age_s
+        limit = self.options.time_tolerance_s if self._base_moves else self.options.max_age_s
         if abs(rover.time - base.time) > limit:
             return Reason.BASE_TOO_OLD
         if base_position_ecef_m is None or not all(map(isfinite, base_position_ecef_m.tolist())):
             return Reason.NO_BASE_POSITION
-        return Reason.OK
+        return None
 
     @property
     def _moves(self) -> bool:
         """Whether the rover (or the baseline) moves."""
-        if self.options.mode is Mode.STATIC_START:
+        mode = self.options.mode
+        if mode is _STATIC_START:
             return self._was_fixed or self.direction is Direction.BACKWARD
-        return self.options.mode in (Mode.KINEMATIC, Mode.MOVING_BASE, Mode.DGPS)
+        return mode in _MOVING
 
     def _step_of(self, state: FilterState, around: Around) -> Step | None:
         """Return how the filters reach an epoch, None where they cannot; the state's clock and base are the epoch's then."""
         dt = self._clock_s(state, around.rover.time) - state.time_s
         if not 0.0 <= dt <= _FORGET_S:
             return None
-        mode, base_ecef_m, single, moves = self.options.mode, state.base_ecef_m, around.singles[0], self._moves
+        base_ecef_m, single, moves = state.base_ecef_m, around.singles[0], self._moves
         reseeds = moves and dt > _RESEED_S and single.status == CONVERGED
         baseline_m = length_m(single.position_ecef_m - base_ecef_m) if reseeds else state.baseline_m
         moved = around.base_ecef_m.tolist() != base_ecef_m.tolist()
         if moved:
             state.base_ecef_m, state.base_s = around.base_ecef_m.copy(), nan
         state.time_s += dt
-        shifts = moved and mode is not Mode.MOVING_BASE and not self._keeps_baseline
-        return Step(dt, base_ecef_m, baseline_m, moves, reseeds, shifts, mode is not Mode.FIXED, self._motion)
+        shifts = moved and not self._base_moves and not self._keeps_baseline
+        return Step(dt, base_ecef_m, baseline_m, moves, reseeds, shifts, not self._is_fixed, self._motion)
 
     def _begun(self, around: Around) -> FilterState:
         """Return the state of a filter that begins with this epoch."""
         state = FilterState(around.rover.time, base_ecef_m=around.base_ecef_m.copy())
-        fixed = self.options.fixed_position_ecef_m if self.options.mode is Mode.FIXED else None
+        fixed = self.options.fixed_position_ecef_m if self._is_fixed else None
         start = around.singles[0].position_ecef_m if fixed is None else np.array(fixed)
         sigmas = SEED_MOVING if self._moves else SEED_STANDING
         for one in (state.filter, state.informed):
@@ -302,7 +310,7 @@ class Rtk:
 
     def _solved_from_here(self, around: Around) -> Solved | None:
         """Return the relative solution of filters that begin with the epoch; None if there is nothing to begin with."""
-        if around.singles[0].status != CONVERGED and self.options.mode is not Mode.FIXED:
+        if around.singles[0].status != CONVERGED and not self._is_fixed:
             return None
         self._state, self._keeps_baseline = self._begun(around), False
         return self._solved(self._state, self._past, around, self._beginning(around))
@@ -319,9 +327,10 @@ class Rtk:
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
             past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s,
         )  # fmt: skip
-        learned, step_s = past.learned(), state.time_s - state.rover_s
+        step_s = state.time_s - state.rover_s
+        learned = past.learned(step_s)
         if len(around.bases) == 1:
-            filters, signals = (tuple(state.filter), tuple(state.informed)), (tuple(around.rover.signals), tuple(base.signals))
+            filters, signals = (tuple(state.filter), tuple(state.informed)), (around.rover.plain_signals, base.plain_signals)
             given = tuple(single), channel, klobuchar, tuple(step), tuple(known)
             solved = take_step(filters, signals, *given, self._plain_setup)
         else:
@@ -346,7 +355,7 @@ class Rtk:
 
     def _may_begin_anew(self, state: FilterState, single: Located) -> bool:
         """Return whether an epoch without a fix is also looked at without its past: where the filter has one, and one epoch may resolve."""
-        remembers = self.options.ambiguity.mode in (AmbiguityMode.CONTINUOUS, AmbiguityMode.FIX_AND_HOLD) and state.time_s > 0.0
+        remembers = self.options.ambiguity.mode in _REMEMBERING and state.time_s > 0.0
         return remembers and single.status == CONVERGED and self.options.mode in _ANEW and state.baseline_m < INFORMED_FROM_M
 
     def _anew(self, state: FilterState, around: Around) -> Solved | None:
@@ -380,8 +389,8 @@ class Rtk:
         rover, base = singles
         if not self._moves:
             return _NOWHERE, _UNKNOWN
-        if self.options.mode is not Mode.MOVING_BASE:
-            return self._sense * rover.velocity_mps, rover.velocity_cov_m2ps2
+        if not self._base_moves:
+            return rover.velocity_mps if self._sense > 0.0 else -rover.velocity_mps, rover.velocity_cov_m2ps2
         if base is None:
             return _NOWHERE, _UNKNOWN
         return self._sense * (rover.velocity_mps - base.velocity_mps), rover.velocity_cov_m2ps2 + base.velocity_cov_m2ps2

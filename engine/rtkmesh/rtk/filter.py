@@ -16,11 +16,12 @@ from typing import Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Cube = NDArray[np.float64]
 
 OK: Final = 0
 NOT_POSITIVE_DEFINITE: Final = 1
@@ -76,7 +77,7 @@ def rearrange(x: Vector, P: Matrix, source: Indices, dynamic: int) -> tuple[Vect
     return x_new, P_new
 
 
-@kernel
+@kernel_in_place
 def reset_state(x: Vector, P: Matrix, i: int, value: float, variance: float) -> None:
     """Forget what is known of state i."""
     for j in range(len(x)):
@@ -85,7 +86,7 @@ def reset_state(x: Vector, P: Matrix, i: int, value: float, variance: float) -> 
     x[i], P[i, i] = value, variance
 
 
-@kernel
+@kernel_in_place
 def predict_motion(x: Vector, P: Matrix, dt_s: float, decay_s: float, Q: Matrix) -> None:
     """Move position, velocity and acceleration (states 0 to 8) ahead by ``dt_s``.
 
@@ -126,7 +127,7 @@ def predict_motion(x: Vector, P: Matrix, dt_s: float, decay_s: float, Q: Matrix)
             P[6 + i, 6 + j] += q * dt_s
 
 
-@kernel
+@kernel_in_place
 def _entries(row: Vector, places: Indices, dynamic: int, at: Indices, h: Vector) -> int:
     """Write the non-zero partial derivatives of one observation and the states they belong to; return how many."""
     for k in range(3):
@@ -177,7 +178,7 @@ def normal_equations(observations: Matrix, places: Indices, dynamic: int, groups
             mean[g, i] /= total
 
 
-@kernel
+@kernel_in_place
 def add_rows(target: Vector, coefficients: Vector, rows: Matrix, first: int, last: int, column: int) -> None:
     """Add to ``target`` the sum of coefficients[k] times rows[k, column:] over first <= k < last.
 
@@ -200,8 +201,12 @@ def add_rows(target: Vector, coefficients: Vector, rows: Matrix, first: int, las
 @kernel
 def factor(P: Matrix, U: Matrix) -> int:
     """Write the upper triangular U with P = U'U."""
+    return _factor(P, U, np.empty(len(P)))
+
+
+@kernel_in_place
+def _factor(P: Matrix, U: Matrix, minus: Vector) -> int:
     n = P.shape[0]
-    minus = np.empty(n)
     for i in range(n):
         row = U[i, i:]
         for k in range(i):
@@ -218,16 +223,15 @@ def factor(P: Matrix, U: Matrix) -> int:
     return OK
 
 
-@kernel
-def _inner(U: Matrix, N: Matrix, M: Matrix) -> None:
-    """Write the lower triangle of M = I + U N U' (N symmetric and sparse)."""
+@kernel_in_place
+def _inner(U: Matrix, N: Matrix, columns: Matrix, T: Matrix, M: Matrix) -> None:
+    """Write the lower triangle of M = I + U N U' (N symmetric and sparse); U' and N U' are written beside it."""
     n = U.shape[0]
-    T = np.zeros((n, n))  # N U' by rows: T[k, :] = sum over j of N[k, j] * (column j of U as a row)
-    columns = np.empty((n, n))
     for i in range(n):
         for j in range(n):
             columns[j, i] = U[i, j]
-    for k in range(n):
+    for k in range(n):  # T[k, :] = sum over j of N[k, j] * (column j of U as a row)
+        T[k, :] = 0.0
         for j in range(n):
             f = N[k, j]
             if f != 0.0:
@@ -256,8 +260,14 @@ def posterior(P: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int
 def posterior_of(U: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int:
     """Write P_new and dx as ``posterior`` does, for P = U'U; U (written to) becomes V."""
     n = len(b)
-    F, minus = np.empty((n, n)), np.empty(n)
-    _inner(U, N, F)
+    return _posterior_in(np.empty((3, n, n)), np.empty(n), U, N, b, P_new, dx)
+
+
+@kernel_in_place
+def _posterior_in(room: Cube, minus: Vector, U: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int:
+    """Do what ``posterior_of`` does with room for three matrices and a vector."""
+    n, F = len(b), room[0]
+    _inner(U, N, room[1], room[2], F)
     for k in range(n - 1, -1, -1):
         row = F[k, : k + 1]
         for i in range(k + 1, n):

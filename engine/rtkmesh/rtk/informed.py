@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.ambiguity import Candidates, Search, held_differences, pairs_of, take, tell
@@ -134,7 +134,7 @@ def with_states(d: Differences, shift_ecef_m: Vector) -> Differences:
     )
 
 
-@kernel
+@kernel_in_place
 def adopt(f: Filter, witness: Filter) -> None:
     """Take over the integers that the witness holds; what it does not know stays."""
     for k in range(len(f.keys)):

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.models.odds import SURENESS
 from rtkmesh.rtk.asked_odds import SURVEY_CODES
@@ -28,6 +28,7 @@ from rtkmesh.rtk.separation import (
     code_ranges,
     horizontal_sigma,
     leave_out,
+    new_rest,
     normalised_square,
     phase_ranges,
     solve_epoch,
@@ -102,7 +103,7 @@ def no_guard() -> Guard:
     return Guard(1.0, np.nan, np.nan, np.nan, np.nan, np.nan)
 
 
-@kernel
+@kernel_in_place
 def note_agreement(memory: Vector, confirmed: float, time_s: float) -> None:
     """Count the epochs since a free search gave what is held, or the informed filter stood for it; ``confirmed`` is the count of such
     searches before this epoch.
@@ -111,7 +112,7 @@ def note_agreement(memory: Vector, confirmed: float, time_s: float) -> None:
     memory[UNAGREED] = 0.0 if agreed else memory[UNAGREED] + 1.0
 
 
-@kernel
+@kernel_in_place
 def sureness(length_m: float, level: float) -> float:
     """Return by what factor log odds are too sure on a baseline of this length, with codes of this variance factor (``code_level``)."""
     if length_m > FAR_M:
@@ -120,7 +121,7 @@ def sureness(length_m: float, level: float) -> float:
     return near + (SURENESS_ATMOSPHERE - near) * length_m / FAR_M
 
 
-@kernel
+@kernel_in_place
 def wrong_probability(odds: float, unagreed: float, spare: int, length_m: float, level: float) -> float:
     """Return the probability that the integers of a fix are wrong: by the log odds of the last free search, the epochs since such a search
     gave what is held, its satellites beyond one per system, the length of the baseline, and the variance factor of codes.
@@ -133,14 +134,14 @@ def wrong_probability(odds: float, unagreed: float, spare: int, length_m: float,
     return min(max(exp(-odds / sureness(length_m, level)), WRONG_LEAST), most)
 
 
-@kernel
+@kernel_in_place
 def chi2_limit(dof: float) -> float:
     """Return what a chi-square of inflated sigmas exceeds with the false alarm probability (Wilson and Hilferty 1931)."""
     spread = 2.0 / (9.0 * dof)
     return INFLATION**2 * dof * (1.0 - spread + FALSE_ALARM_SIGMAS * sqrt(spread)) ** 3
 
 
-@kernel
+@kernel_in_place
 def widening(prior: float, budget: float) -> float:
     """Return how many sigmas a normal error of a hypothesis stays within but for its share ``budget`` of the risk; below 0: the
     hypothesis itself is less likely than that.
@@ -150,7 +151,7 @@ def widening(prior: float, budget: float) -> float:
     return sqrt(2.0 * log(prior / budget)) if prior > budget else -1.0
 
 
-@kernel
+@kernel_in_place
 def widen(levels: Vector, judged: Vector, place: Vector, cov: Matrix, sigmas: float) -> None:
     """Raise horizontal and vertical levels (m) to what the solution at ``place`` allows of one at ``judged``."""
     gap_m = sqrt((judged[0] - place[0]) ** 2 + (judged[1] - place[1]) ** 2)
@@ -165,18 +166,18 @@ def widen_by_satellites(levels: Vector, judged: Vector, ranges: Ranges, whole: E
     sigmas = INFLATION * widening(prior * SATELLITE_FAULT, budget / max(count_runs(ranges.satellite), 1))
     if sigmas < 0.0:
         return
-    place, cov, first = np.empty(3), np.empty((3, 3)), 0
+    rest, first = new_rest(), 0
     for k in range(1, n + 1):
         if k < n and ranges.satellite[k] == ranges.satellite[first]:
             continue
-        if leave_out(ranges, whole, first, k, place, cov):
-            widen(levels, judged, place, cov, sigmas)
+        if leave_out(ranges, whole, first, k, rest):
+            widen(levels, judged, rest.place, rest.cov, sigmas)
         else:
             levels[:] = np.inf
         first = k
 
 
-@kernel
+@kernel_in_place
 def protect(levels: Vector, judged: Vector, other: Place, ranges: Ranges, whole: Epochwise, prior: float, risk: float) -> None:
     """Raise the levels to what a hypothesis of this probability, under which ``other`` is sound and the ranges are but for one satellite,
     allows at its ``risk``; a quarter of it each for horizontal and vertical, without a fault and with one.
@@ -224,7 +225,7 @@ def guard(
     return Guard(min(wrong + hidden, 1.0), levels[0], levels[1], residual_test, float_test, test_against(fixed, by_codes))
 
 
-@kernel
+@kernel_in_place
 def test_of(chi2: float, dof: float) -> float:
     """Return a chi-square over its limit, NaN without redundancy."""
     return chi2 / chi2_limit(dof) if dof > 0.5 else np.nan
@@ -236,7 +237,7 @@ def test_against(place: Place, whole: Epochwise) -> float:
     return normalised_square(place.enu_m - whole.place, whole.cov) / chi2_limit(3.0) if whole.solved else np.nan
 
 
-@kernel
+@kernel_in_place
 def larger(first: float, second: float) -> float:
     """Return the larger of two tests, the other one where one is NaN."""
     return second if not first >= second and isfinite(second) else first

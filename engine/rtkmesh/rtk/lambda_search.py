@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -28,7 +28,7 @@ VARIANCE, FLOAT, MEAN, TRIAL, STEP, DIST = range(6)
 WALK: Final = 6
 
 
-@kernel
+@kernel_in_place
 def factorize(Q: Matrix, L: Matrix, D: Vector, permutation: NDArray[np.int64]) -> int:
     """Factorise Q (n x n, destroyed) as P' Q P = L' D L, the smallest conditional variance first (MLAMBDA, algorithm 3.1).
 
@@ -59,7 +59,7 @@ def factorize(Q: Matrix, L: Matrix, D: Vector, permutation: NDArray[np.int64]) -
     return OK
 
 
-@kernel
+@kernel_in_place
 def _exchange(Q: Matrix, L: Matrix, permutation: NDArray[np.int64], k: int, i: int) -> None:
     """Exchange row and column i < k of the remaining lower triangle Q[:k+1, :k+1] and the columns of L below it."""
     n = len(permutation)
@@ -73,7 +73,7 @@ def _exchange(Q: Matrix, L: Matrix, permutation: NDArray[np.int64], k: int, i: i
     permutation[i], permutation[k] = permutation[k], permutation[i]
 
 
-@kernel
+@kernel_in_place
 def _gauss(L: Matrix, back: Matrix, z: Vector, i: int, j: int) -> float:
     """Subtract from ambiguity j the integer multiple (returned) of ambiguity i > j that makes L[i, j] at most one half.
 
@@ -91,7 +91,7 @@ def _gauss(L: Matrix, back: Matrix, z: Vector, i: int, j: int) -> float:
     return mu
 
 
-@kernel
+@kernel_in_place
 def reduce(L: Matrix, D: Vector, back: Matrix, z: Vector) -> None:
     """Decorrelate: make D as flat as integer transformations can, in place (LGR-12 section 3.4).
 
@@ -116,7 +116,7 @@ def reduce(L: Matrix, D: Vector, back: Matrix, z: Vector) -> None:
                 _gauss(L, back, z, i, j)
 
 
-@kernel
+@kernel_in_place
 def _swap(L: Matrix, D: Vector, back: Matrix, z: Vector, k: int, swapped: float) -> None:
     """Exchange the neighbours k and k + 1; ``swapped`` is the new D[k + 1] (LGR-12 section 3.3)."""
     n = len(D)
@@ -146,7 +146,7 @@ def new_walk(D: Vector, z: Vector) -> Matrix:
     return walk
 
 
-@kernel
+@kernel_in_place
 def _begin_level(walk: Matrix, k: int, shift: float) -> None:
     """Try the integer nearest to the conditional mean of level k, to which the levels above add ``shift``."""
     walk[MEAN, k] = walk[FLOAT, k] + shift
@@ -154,14 +154,14 @@ def _begin_level(walk: Matrix, k: int, shift: float) -> None:
     walk[STEP, k] = 1.0 if walk[MEAN, k] >= walk[TRIAL, k] else -1.0
 
 
-@kernel
+@kernel_in_place
 def go_on(walk: Matrix, k: int) -> None:
     """Try the next integer of level k: nearest first, from side to side (Schnorr-Euchner)."""
     walk[TRIAL, k] += walk[STEP, k]
     walk[STEP, k] = -walk[STEP, k] - (1.0 if walk[STEP, k] > 0.0 else -1.0)
 
 
-@kernel
+@kernel_in_place
 def next_vector(L: Matrix, S: Matrix, walk: Matrix, k: int, limit: float, nodes: int) -> tuple[int, float, int]:
     """Walk from level k to the next integer vector of a squared norm below ``limit``, which is TRIAL then; level 0 is where to go on.
 
@@ -220,7 +220,7 @@ def search(L: Matrix, D: Vector, z: Vector, node_limit: int, candidates: Matrix,
     return status
 
 
-@kernel
+@kernel_in_place
 def _sort(candidates: Matrix, norms: Vector) -> None:
     """Sort the few candidates by norm (insertion sort)."""
     for i in range(1, len(norms)):
@@ -232,13 +232,13 @@ def _sort(candidates: Matrix, norms: Vector) -> None:
             j -= 1
 
 
-@kernel
+@kernel_in_place
 def rounding_success(variance: float) -> float:
     """Return the probability that rounding a normal error of this variance (cycles squared) gives zero."""
     return erf(0.5 / sqrt(2.0 * variance)) if variance > 0.0 else 1.0
 
 
-@kernel
+@kernel_in_place
 def bootstrap_success(D: Vector, first: int) -> float:
     """Return the success rate of integer bootstrapping of D[first:], a lower bound of least squares' (Teunissen 1998, eq. 19)."""
     success = 1.0
@@ -275,7 +275,7 @@ def decorrelate(a: Vector, Q: Matrix) -> Decorrelated:
     return Decorrelated(True, L, D, z, back, whole, permutation)
 
 
-@kernel
+@kernel_in_place
 def restore(candidates: Matrix, there: Decorrelated, fixed: Matrix) -> None:
     """Write integer vectors (m x n) that were found in decorrelated coordinates as those of the float ambiguities."""
     n = candidates.shape[1]

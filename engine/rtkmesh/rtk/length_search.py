@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.models.odds import PRIOR_DOF
 from rtkmesh.rtk.lambda_search import (
     FOUND,
@@ -81,7 +81,7 @@ def _by_decorrelated(there: Decorrelated, given: Given) -> Given:
     return Given(mean_m, gain, given.cov_m2, given.length_m, given.sigma_m)
 
 
-@kernel
+@kernel_in_place
 def farthest(D: Vector) -> float:
     """Return the squared norm within which there are about VECTORS integer vectors: the volume of the ellipsoid is their number."""
     n = len(D)
@@ -113,13 +113,13 @@ def _enumerate(there: Decorrelated, given: Given, nodes: int, candidates: Matrix
         go_on(walk, k)
 
 
-@kernel
+@kernel_in_place
 def enough(best: float, count: int) -> float:
     """Return the squared norm that the best one's log odds are ENOUGH against (``models.odds``)."""
     return (PRIOR_DOF + best) * exp(2.0 * ENOUGH / (PRIOR_DOF + count)) - PRIOR_DOF
 
 
-@kernel
+@kernel_in_place
 def misfit_of(integers: Vector, given: Given, place: Vector) -> float:
     """Return the squared misfit of the length under these integers; ``place`` (3) receives the baseline (m) that they give."""
     for i in range(3):
@@ -130,7 +130,7 @@ def misfit_of(integers: Vector, given: Given, place: Vector) -> float:
     return length_misfit(place, given.cov_m2, given.length_m, given.sigma_m)
 
 
-@kernel
+@kernel_in_place
 def length_misfit(vector_m: Vector, cov_m2: Matrix, length_m: float, sigma_m: float) -> float:
     """Return the squared misfit of a vector's length, in sigmas of the known length and the vector together; 0 where none is known."""
     if not isfinite(length_m):

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.epoch import Signals
 from rtkmesh.gnss.signals import ATTRIBUTES, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SIGNALS_PER_SATELLITE, SYSTEMS, allowed_satellites
@@ -116,7 +116,7 @@ def match(rover: Signals, base: Signals, rules: Rules) -> Pairs:
     return Pairs(satellite, columns[ROVER], columns[BASE], columns[LIKENESS], columns[CLOCK_GROUP], groups, columns[KEY])
 
 
-@kernel
+@kernel_in_place
 def _usable(pseudorange_m: Vector, phase_cyc: Vector, cn0_dbhz: Vector, cn0_mask_dbhz: float, out: Indices) -> None:
     """Write 0 where a row has no pseudorange (or too little C/N0), 1 with pseudorange only, 2 with phase too."""
     for k in range(len(out)):
@@ -126,7 +126,7 @@ def _usable(pseudorange_m: Vector, phase_cyc: Vector, cn0_dbhz: Vector, cn0_mask
             out[k] = 2 if isfinite(phase_cyc[k]) else 1
 
 
-@kernel
+@kernel_in_place
 def _match(
     rover_satellite: NDArray[np.int16],
     rover_signal: NDArray[np.int16],
@@ -171,7 +171,7 @@ def _match(
     return count
 
 
-@kernel
+@kernel_in_place
 def _best_pair(
     rover_signal: NDArray[np.int16],
     rover_usable: NDArray[np.int64],
@@ -204,7 +204,7 @@ def _best_pair(
     return bool(least < 1 << 40)
 
 
-@kernel
+@kernel_in_place
 def distinct(ordered: NDArray[np.int16], mask: NDArray[np.bool_]) -> int:
     """Return how many different values a sorted array has where the mask is true."""
     count, last = 0, -1
@@ -215,7 +215,7 @@ def distinct(ordered: NDArray[np.int16], mask: NDArray[np.bool_]) -> int:
     return count
 
 
-@kernel
+@kernel_in_place
 def count_runs(ordered: NDArray[np.int16]) -> int:
     """Return how many different values a sorted array has."""
     count, last = 0, -1

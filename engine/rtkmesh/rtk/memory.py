@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.models.odds import PRIOR_DOF
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions
@@ -84,7 +84,7 @@ def is_held(f: Filter, candidates: Candidates) -> NDArray[np.bool_]:
     return out
 
 
-@kernel
+@kernel_in_place
 def release(f: Filter) -> None:
     """Hold no integers."""
     f.history[:, INTEGER] = np.nan

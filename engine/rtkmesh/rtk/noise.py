@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import SYSTEMS
 
 Vector = NDArray[np.float64]
@@ -23,14 +23,14 @@ SCALE_LEAST: Final = 0.02  # variance factor: survey antennas (0.15 m)
 SCALE_MOST: Final = 30.0  # patches between trees (5 m)
 
 
-@kernel
+@kernel_in_place
 def elevation_variance(a_m: float, b_m: float, elevation_rad: float) -> float:
     """Return a^2 + (b / sin elevation)^2 (Eueler and Goad 1991 in the form that RTKLIB made common)."""
     s = max(sin(elevation_rad), 0.05)
     return a_m * a_m + b_m * b_m / (s * s)
 
 
-@kernel
+@kernel_in_place
 def cn0_factor(cn0_dbhz: float) -> float:
     """Return the factor of the variance for a carrier to noise density ratio (1 where it is not known).
 
@@ -67,7 +67,7 @@ def code_factors(scale: Matrix, trial: Matrix) -> Vector:
     return out
 
 
-@kernel
+@kernel_in_place
 def learn_codes(scale: Matrix, trial: Matrix) -> None:
     """Take in sums of squared normalised residuals (for a factor of 1) and their degrees of freedom."""
     for k in range(scale.shape[1]):
@@ -76,14 +76,14 @@ def learn_codes(scale: Matrix, trial: Matrix) -> None:
         scale[SQUARES, k], scale[DOF, k] = squares * shrink, dof * shrink
 
 
-@kernel
+@kernel_in_place
 def phase_factor(scale: Matrix) -> float:
     """Return the variance factor of phases."""
     raw = (PHASE_PRIOR_DOF + scale[PHASE, SQUARES]) / (PHASE_PRIOR_DOF + scale[PHASE, DOF])
     return min(max(raw, PHASE_LEAST), PHASE_MOST)
 
 
-@kernel
+@kernel_in_place
 def learn_phases(scale: Matrix, squares: float, dof: float) -> None:
     """Take in squared phase residuals of a solution with integers, normalised for a factor of 1, and their degrees of freedom.
 

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.rtk.separation import normalised_square
 from rtkmesh.rtk.state import Filter
 
@@ -42,7 +42,7 @@ def take_place(x: Vector, P: Matrix, place_m: Vector, variance_m2: float) -> Non
                 P[a, b] -= gain[a] * gain[b] * spread
 
 
-@kernel
+@kernel_in_place
 def carry(x: Vector, P: Matrix, prediction: Vector, last_sigma_m: float) -> None:
     """Let the last fix, with this sigma in 3D (m), help one that few satellites carry: where it is moved on to is an observation."""
     take_place(x, P, prediction, last_sigma_m**2 + (PREDICTION_FLOOR_M + prediction[3]) ** 2)

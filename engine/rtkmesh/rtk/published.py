@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.asked_odds import is_reflected
@@ -47,7 +47,7 @@ VAGUE_M: Final = 0.12
 FEW_SATELLITES: Final = 6
 
 
-@kernel
+@kernel_in_place
 def learn_fix(scale: Matrix, squares: float, dof: float) -> None:
     """Take in squared phase residuals of one epoch's position with integers, normalised for a factor of 1, and their degrees of freedom."""
     squares, dof = scale[PHASE, FIX_SQUARES] + squares, scale[PHASE, FIX_DOF] + dof
@@ -55,7 +55,7 @@ def learn_fix(scale: Matrix, squares: float, dof: float) -> None:
     scale[PHASE, FIX_SQUARES], scale[PHASE, FIX_DOF] = squares * shrink, dof * shrink
 
 
-@kernel
+@kernel_in_place
 def fix_factor(scale: Matrix) -> float:
     """Return the variance factor of the phases of fixes."""
     raw = (PRIOR_DOF * PRIOR + scale[PHASE, FIX_SQUARES]) / (PRIOR_DOF + scale[PHASE, FIX_DOF])
@@ -100,7 +100,7 @@ def fix_of_both(own: Matrix, epoch: Epochwise, inflation: float) -> Matrix:
     for i in range(3):
         for j in range(3):
             out[i, j] = own[i, j]
-            for a in range(3):
+            for a in range(3 if noise > 0.0 else 0):
                 for b in range(3):
                     out[i, j] -= noise * own[i, a] * epoch.reduced[a, b] * own[b, j]
     if out[0, 0] + out[1, 1] + out[2, 2] > epoch.cov[0, 0] + epoch.cov[1, 1] + epoch.cov[2, 2]:
@@ -111,7 +111,7 @@ def fix_of_both(own: Matrix, epoch: Epochwise, inflation: float) -> Matrix:
     return out
 
 
-@kernel
+@kernel_in_place
 def _mean_inflation(layout: Layout, update: Update) -> float:
     """Return by how much the variances of the phases in use are inflated."""
     total, count = 0.0, 0
@@ -134,7 +134,7 @@ def _turned(cov: Matrix, turn: Matrix, scale: float) -> Matrix:
     return out
 
 
-@kernel
+@kernel_in_place
 def is_vague(cov_m2: Matrix, level: float, satellites: int) -> bool:
     """Return whether a fix with this covariance (m2) as published, codes of this variance factor and integers of so many satellites is too
     uncertain to be one.
@@ -142,7 +142,7 @@ def is_vague(cov_m2: Matrix, level: float, satellites: int) -> bool:
     return is_reflected(level) and satellites <= FEW_SATELLITES and cov_m2[0, 0] + cov_m2[1, 1] + cov_m2[2, 2] > VAGUE_M**2
 
 
-@kernel
+@kernel_in_place
 def held_satellites(f: Filter, d: Differences, layout: Layout) -> tuple[int, int]:
     """Return of how many satellites of this epoch integers are held, and of how many systems these are."""
     satellites, systems, last = 0, 0, -1
@@ -169,7 +169,7 @@ def far_covariance(P: Matrix, base_ecef_m: Vector, baseline_ecef_m: Vector) -> M
     return out
 
 
-@kernel
+@kernel_in_place
 def _is_sound(cov: Matrix, filters_m2: float) -> bool:
     """Return whether a covariance (3 x 3) is one, and not so much larger than the filter's that the epoch has hardly seen a direction."""
     square = cov[0, 0] * cov[1, 1] - cov[0, 1] * cov[1, 0]

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.rtk.state import DYNAMIC, Filter
 
@@ -17,7 +17,7 @@ Indices = NDArray[np.int64]
 LEAST_SATELLITES: Final = 5
 
 
-@kernel
+@kernel_in_place
 def are_bare(f: Filter, pairs: Indices) -> bool:
     """Return whether these double differences, rows of (state, reference), are of too few satellites to show that one is wrong."""
     return count_satellites(f, pairs) < LEAST_SATELLITES

@@ -1,13 +1,12 @@
 """The solution of an epoch, from what the steps of the engine left behind."""
 
-from dataclasses import dataclass
 from math import isfinite, nan, sqrt
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SIGNALS_PER_SATELLITE
 from rtkmesh.models.code_selection import USED
@@ -54,8 +53,6 @@ from rtkmesh.rtk.state import (
     INTEGER,
     REJECTS,
     SLIPS,
-    SLOPE_KEY,
-    ZENITH_KEY,
     Filter,
 )
 from rtkmesh.rtk.update import Layout, Update
@@ -84,8 +81,10 @@ _REASONS: Final = {
     ODDS, WRONG, PROTECTION_H_M, PROTECTION_V_M, RESIDUAL_TEST, FLOAT_TEST, CODE_TEST,
 ) = range(20)  # fmt: skip
 FIGURES: Final = 20
-_NO_SATELLITES: Final = np.zeros(0, np.int64)
-_NO_DELAYS: Final = np.zeros(0)
+_NO_VECTOR: Final = np.full(3, nan)
+_NO_MATRIX: Final = np.full((3, 3), nan)
+_REASON_OF: Final = tuple(Reason)  # by number
+_FIX, _FLOAT, _DGPS = Status.FIX, Status.FLOAT, Status.DGPS  # a member of an enumeration is looked up in 0.1 us
 
 
 def from_single(rover: Epoch, base: Epoch | None, single: Located, rate_factor: float) -> Solution:
@@ -109,8 +108,7 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located, rate_factor: 
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Circumstances:
+class Circumstances(NamedTuple):
     """What is around a relative solution: ``base_single`` is the single point of a moving base, else None; ``rate_factors`` are of the
     covariances of both receivers' velocities; ``sense`` is 1.0, or -1.0 where the filter's clock runs against GPS time.
     """
@@ -126,23 +124,24 @@ class Circumstances:
 
 def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> Solution:
     """Return the relative solution: fixed where the resolution says so, else float, else differential code."""
-    x, P, numbers = solved.x, solved.P, solved.figures.tolist()
-    status = Status.FIX if numbers[IS_FIXED] else (Status.FLOAT if numbers[PHASES] >= 4 else Status.DGPS)
-    covariance = solved.position_cov_m2[:3, :3].copy()
+    x, P, numbers = solved.x, solved.P, solved.figures.tolist()  # x and P are this epoch's alone: what is given of them are views
+    base_ecef_m = base_ecef_m.copy()
+    status = _FIX if numbers[IS_FIXED] else (_FLOAT if numbers[PHASES] >= 4 else _DGPS)
+    covariance = solved.position_cov_m2[:3, :3]
     velocity_mps, velocity_cov_m2ps2, acceleration_mps2, acceleration_cov_m2ps4 = _motion(single, x, P, around)
     integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
     return Solution(
         time=rover.time,
         status=status,
-        reason=Reason(int(numbers[REASON])),
+        reason=_REASON_OF[int(numbers[REASON])],
         position_ecef_m=base_ecef_m + x[:3],
         position_cov_ecef_m2=covariance if around.base_single is None else covariance + around.base_single.covariance_m2,
         velocity_ecef_mps=velocity_mps,
         velocity_cov_ecef_m2ps2=velocity_cov_m2ps2,
         acceleration_ecef_mps2=acceleration_mps2,
         acceleration_cov_ecef_m2ps4=acceleration_cov_m2ps4,
-        base_ecef_m=base_ecef_m.copy(),
-        baseline_ecef_m=x[:3].copy(),
+        base_ecef_m=base_ecef_m,
+        baseline_ecef_m=x[:3],
         baseline_cov_ecef_m2=covariance,
         single_position_ecef_m=single.position_ecef_m,
         receiver_clock_s=single.clock_s,
@@ -160,7 +159,7 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
         code_rms_m=numbers[CODE_RMS_M],
         phase_rms_m=numbers[PHASE_RMS_M],
         nis_per_observation=numbers[NIS],
-        fix_probability=1.0 - numbers[WRONG] if status is Status.FIX else 0.0,
+        fix_probability=1.0 - numbers[WRONG] if status is _FIX else 0.0,
         protection_horizontal_m=numbers[PROTECTION_H_M],
         protection_vertical_m=numbers[PROTECTION_V_M],
         integrity=integrity,
@@ -173,16 +172,13 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
 
 def _float_state(solved: "Solved", base_ecef_m: Vector, around: Circumstances) -> FloatState:
     """Return what the filters know beside the integers; the atmosphere of the informed one where there is one."""
-    x = solved.filter.x
-    atmosphere = solved.informed if len(solved.informed.keys) else solved.filter
-    count = int(atmosphere.keys.searchsorted(FIRST_PAIR_KEY))
-    zenith_m, slope_m, satellites, ionosphere_m = nan, nan, _NO_SATELLITES, _NO_DELAYS
-    if count:
-        delays = dict(zip(atmosphere.keys[:count].tolist(), atmosphere.x[DYNAMIC : DYNAMIC + count].tolist(), strict=True))
-        zenith_m, slope_m = delays.pop(ZENITH_KEY, nan), delays.pop(SLOPE_KEY, nan)
-        satellites, ionosphere_m = np.array(list(delays), np.int64), np.array(list(delays.values()), np.float64)
-    moving = (around.sense * x[3:6], x[6:9].copy()) if around.moves else (np.full(3, nan), np.full(3, nan))
-    return FloatState(base_ecef_m + x[:3], *moving, zenith_m, slope_m, satellites, ionosphere_m)
+    x = solved.filter.x.copy()
+    if len(solved.informed.keys):
+        keys, shared = solved.informed.keys, solved.informed.x[DYNAMIC:].copy()
+    else:
+        keys, shared = solved.filter.keys, x[DYNAMIC:]
+    count = int(keys.searchsorted(FIRST_PAIR_KEY)) if len(keys) and keys[0] < FIRST_PAIR_KEY else 0
+    return FloatState(base_ecef_m, x, keys[:count], shared[:count], around.sense, around.moves)
 
 
 def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tuple[Vector, Matrix, Vector, Matrix]:
@@ -193,14 +189,14 @@ def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tup
     """
     base, factor = around.base_single, around.rate_factors[0]
     if not around.moves or (base is not None and not isfinite(base.velocity_mps[0])):
-        return single.velocity_mps[:3], factor * single.velocity_cov_m2ps2, np.full(3, nan), np.full((3, 3), nan)
-    velocity, covariance = around.sense * x[3:6], P[3:6, 3:6].copy()
+        return single.velocity_mps[:3], factor * single.velocity_cov_m2ps2, _NO_VECTOR.copy(), _NO_MATRIX.copy()
+    velocity, covariance = x[3:6] if around.sense > 0.0 else -x[3:6], P[3:6, 3:6]
     if base is not None:
-        velocity += base.velocity_mps[:3]
+        velocity = velocity + base.velocity_mps[:3]
         covariance = covariance_of_sum(covariance, single, base, around.rate_factors)
     elif isfinite(single.velocity_mps[0]):  # else the covariance is what motion and phases make of it
-        covariance *= factor
-    return velocity, covariance, x[6:9].copy(), P[6:9, 6:9].copy()
+        covariance = factor * covariance
+    return velocity, covariance, x[6:9], P[6:9, 6:9]
 
 
 def covariance_of_sum(P: Matrix, single: Located, base: Located, factors: tuple[float, float]) -> Matrix:
@@ -217,14 +213,14 @@ def covariance_of_sum(P: Matrix, single: Located, base: Located, factors: tuple[
     return relative + B - common - common.T
 
 
-@kernel
+@kernel_in_place
 def describe_resolution(resolution: Resolution, out: Vector) -> None:
     """Write the figures of ambiguity resolution."""
     out[REASON], out[IS_FIXED], out[RATIO], out[THRESHOLD] = resolution.reason, resolution.fixed, resolution.ratio, resolution.threshold
     out[SUCCESS], out[COUNT_FIXED], out[GRADE] = resolution.success, resolution.integers, resolution.grade
 
 
-@kernel
+@kernel_in_place
 def describe_guard(guarded: Guard, odds: float, out: Vector) -> None:
     """Write the figures of integrity."""
     out[ODDS], out[WRONG], out[PROTECTION_H_M], out[PROTECTION_V_M] = odds, guarded.wrong, guarded.horizontal_m, guarded.vertical_m
@@ -243,7 +239,7 @@ def describe_fit(d: Differences, layout: Layout, update: Update, out: Vector) ->
     out[NIS] = update.phase_chi2 / update.phase_dof if update.phase_dof > 0.5 else np.nan
 
 
-@kernel
+@kernel_in_place
 def _rms(values: Vector, used: NDArray[np.bool_]) -> float:
     """Return the root mean square of the used finite values; NaN if there are none."""
     total, count = 0.0, 0

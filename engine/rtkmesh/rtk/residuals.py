@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Signals
 from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, band_of, carrier_hz, system_of
@@ -43,7 +43,7 @@ _MOST_CYCLES = 1e12  # a phase that a receiver has counted for months; more is d
 _C = SPEED_OF_LIGHT_MPS
 
 
-@kernel
+@kernel_in_place
 def wavelengths(
     satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: NDArray[np.int8], row: Indices, known: NDArray[np.int8],
     wavelength_m: Vector, channels: Vector,
@@ -61,7 +61,7 @@ def wavelengths(
         channels[k] = own if system_of(number) == GLONASS and own != NO_CHANNEL else 0.0
 
 
-@kernel
+@kernel_in_place
 def observe_receiver(
     signals: Signals, row: Indices, satellite_index: Indices, wavelength_m: Vector, position_ecef_m: Vector, klobuchar: Vector,
     states: Matrix, geometry: Matrix, out: Matrix,
@@ -71,7 +71,7 @@ def observe_receiver(
     undifferenced(row, satellite_index, wavelength_m, signals.pseudorange_m, signals.phase_cyc, signals.flags, states, geometry, out)
 
 
-@kernel
+@kernel_in_place
 def undifferenced(
     rows: Indices, satellite_index: Indices, wavelength_m: Vector, pseudorange_m: Vector, phase_cyc: Vector, flags: NDArray[np.uint8],
     states: Matrix, geometry: Matrix, out: Matrix,
@@ -93,7 +93,7 @@ def undifferenced(
             out[k, 1] = phase_cyc[row] * wavelength_m[k] - model + delay
 
 
-@kernel
+@kernel_in_place
 def correct_antenna(signals: Signals, rows: Indices, satellite_index: Indices, pattern: Vector, geometry: Matrix, out: Matrix) -> None:
     """Take what the antenna of one receiver adds from its code and phase minus model (m, n x 2)."""
     for k in range(len(rows)):
@@ -106,7 +106,7 @@ def correct_antenna(signals: Signals, rows: Indices, satellite_index: Indices, p
         out[k, 1] -= delay_m
 
 
-@kernel
+@kernel_in_place
 def single_differences(
     satellite_index: Indices,
     likeness: Indices,
@@ -154,7 +154,7 @@ def single_differences(
         out[k, PHASE_VARIANCE] = phase + common
 
 
-@kernel
+@kernel_in_place
 def receiver_words(
     signals: Signals, row: Indices, receiver: int, words: Matrix, lock_s: Matrix, flagged: NDArray[np.bool_], half_cycle: NDArray[np.bool_]
 ) -> None:
@@ -242,7 +242,7 @@ def observe(
     return Differences(pairs, table, direction[0], direction[1], azimuth_rad, issue, flagged, half_cycle, lock_s, base_s)
 
 
-@kernel
+@kernel_in_place
 def take_satellites(located: Located, satellites: NDArray[np.int16], rows: Matrix, states: Matrix) -> None:
     """Write ephemeris rows and states of these satellites (sorted); NaN and not OK where the single point had no code of one."""
     j = 0
@@ -250,7 +250,10 @@ def take_satellites(located: Located, satellites: NDArray[np.int16], rows: Matri
         while j < len(located.satellites) and located.satellites[j] < satellites[i]:
             j += 1
         if j < len(located.satellites) and located.satellites[j] == satellites[i]:
-            rows[i, :], states[i, :] = located.rows[j], located.states[j]
+            for k in range(ROW):
+                rows[i, k] = located.rows[j, k]
+            for k in range(STATE):
+                states[i, k] = located.states[j, k]
             continue
         rows[i, :], states[i, :] = np.nan, np.nan
         rows[i, KIND], states[i, STATE_OK] = NO_EPHEMERIS, 0.0

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import INTEGER, Filter
@@ -116,7 +116,7 @@ def _empty_ranges(d: Differences, turn: Matrix) -> Ranges:
     return Ranges(rows, np.zeros(n), d.pairs.group, d.pairs.satellite, d.pairs.groups)
 
 
-@kernel
+@kernel_in_place
 def _put(out: Ranges, k: int, value_m: float, variance_m2: float, used: bool) -> None:
     usable = used and isfinite(value_m) and variance_m2 > 0.0
     out.rows[k, RANGE], out.weight[k] = value_m if usable else 0.0, 1.0 / variance_m2 if usable else 0.0
@@ -154,14 +154,14 @@ def solve_epoch(ranges: Ranges) -> Epochwise:
     return Epochwise(sums, reduced, place, cov, solved, max(chi2, 0.0), count - UNKNOWNS)
 
 
-@kernel
+@kernel_in_place
 def _add_row(total: Matrix, row: Vector, weight: float) -> None:
     for i in range(COLUMNS):
         for j in range(COLUMNS):
             total[i, j] += weight * row[i] * row[j]
 
 
-@kernel
+@kernel_in_place
 def _add_reduced(total: Matrix, sign: float, reduced: Matrix) -> None:
     """Add a group's sums without its clock; ``sign`` -1 takes them away."""
     w = total[CLOCK, CLOCK]
@@ -170,25 +170,48 @@ def _add_reduced(total: Matrix, sign: float, reduced: Matrix) -> None:
             reduced[i, j] += sign * (total[i, j] - total[i, CLOCK] * total[CLOCK, j] / w)
 
 
+class Rest(NamedTuple):
+    """The place of the ranges that remain, and its covariance, in arrays that are written to, with room to work in."""
+
+    place: Vector
+    cov: Matrix
+    reduced: Matrix
+    less: Matrix
+
+
 @kernel
-def leave_out(ranges: Ranges, whole: Epochwise, first: int, last: int, place: Vector, cov: Matrix) -> bool:
+def new_rest() -> Rest:
+    """Return the room for a rest."""
+    return Rest(np.empty(3), np.empty((3, 3)), np.empty((CLOCK, CLOCK)), np.empty((COLUMNS, COLUMNS)))
+
+
+@kernel_in_place
+def leave_out(ranges: Ranges, whole: Epochwise, first: int, last: int, rest: Rest) -> bool:
     """Write place and covariance of the solution without the rows ``first`` to ``last`` - 1 (one satellite: each row in a group of its
     own); return whether there is one.
     """
-    reduced, less = whole.reduced.copy(), np.empty((COLUMNS, COLUMNS))
+    reduced, less = rest.reduced, rest.less
+    _copy(whole.reduced, reduced)
     for k in range(first, last):
         if not ranges.weight[k] > 0.0:
             continue
         total = whole.sums[ranges.group[k]]
         _add_reduced(total, -1.0, reduced)
-        less[:, :] = total
+        _copy(total, less)
         _add_row(less, ranges.rows[k], -ranges.weight[k])
         if less[CLOCK, CLOCK] > 1e-9 * total[CLOCK, CLOCK]:
             _add_reduced(less, 1.0, reduced)
-    return solve_normal(reduced, place, cov)
+    return solve_normal(reduced, rest.place, rest.cov)
 
 
-@kernel
+@kernel_in_place
+def _copy(source: Matrix, target: Matrix) -> None:
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
+
+
+@kernel_in_place
 def solve_normal(reduced: Matrix, place: Vector, cov: Matrix) -> bool:
     """Write the inverse of the leading 3 x 3 and its product with the fourth column; return False where it is singular."""
     a, b, c, d, e, f = reduced[0, 0], reduced[0, 1], reduced[0, 2], reduced[1, 1], reduced[1, 2], reduced[2, 2]
@@ -206,7 +229,7 @@ def solve_normal(reduced: Matrix, place: Vector, cov: Matrix) -> bool:
     return True
 
 
-@kernel
+@kernel_in_place
 def horizontal_sigma(cov: Matrix) -> float:
     """Return the largest standard deviation of any horizontal direction."""
     middle, half = 0.5 * (cov[0, 0] + cov[1, 1]), 0.5 * (cov[0, 0] - cov[1, 1])

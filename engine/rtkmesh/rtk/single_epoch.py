@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.rtk.ambiguity import Candidates, held_differences, pairs_of, take
 from rtkmesh.rtk.filter import factor
 from rtkmesh.rtk.memory import is_held
@@ -29,7 +29,7 @@ PRIOR: Final = 0.5
 PRIOR_DOF: Final = 10.0
 
 
-@kernel
+@kernel_in_place
 def sharpness(scale: Matrix) -> float:
     """Return by what (at most 1) the variance of one epoch's phases is smaller than the filter has it."""
     shown = (PRIOR_DOF * PRIOR + scale[PHASE, FIX_SQUARES]) / (PRIOR_DOF + scale[PHASE, FIX_DOF])

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.rtk.matching import distinct
 from rtkmesh.rtk.residuals import BASE_PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import (
@@ -63,7 +63,7 @@ NO_SLIP, KNOWN_SLIP, LOST, CERTAIN = range(4)
 _HEARD, _SHOWN = 1, 2
 
 
-@kernel
+@kernel_in_place
 def lost_lock(lock_s: float, previous_lock_s: float, elapsed_s: float) -> bool:
     """Return whether lock times say that tracking was interrupted. ``lock_s`` may be a lower bound within a factor of 2 (RTCM DF407)."""
     if not isfinite(lock_s) or not isfinite(previous_lock_s):
@@ -204,7 +204,7 @@ def _test(d: Differences, changes: Changes, heard: Flags, setup: SlipSetup, expe
     return Tested(rover, base, redundancy, base_redundancy)
 
 
-@kernel
+@kernel_in_place
 def _unknowns(moving: bool) -> int:
     return 4 if moving else 1
 
@@ -286,7 +286,7 @@ def _suspects(changes: Changes, heard: Flags, tested: Tested) -> Flags:
     return out
 
 
-@kernel
+@kernel_in_place
 def _judge(d: Differences, k: int, last_base_s: float, changes: Changes, tested: Tested, verdicts: Verdicts) -> None:
     """Judge a suspect that was there in the last epoch."""
     rover, base = tested.rover, tested.base
@@ -307,14 +307,14 @@ def _judge(d: Differences, k: int, last_base_s: float, changes: Changes, tested:
         _doubt_halves(k, KNOWN_SLIP, jump / d.table[k, WAVELENGTH], verdicts)
 
 
-@kernel
+@kernel_in_place
 def _doubt_halves(k: int, verdict: int, jump_cyc: float, verdicts: Verdicts) -> None:
     """Where time has passed, no odd number of half cycles is certain."""
     if verdicts.slip[k] == CERTAIN and verdicts.jump_cyc[k] != np.floor(verdicts.jump_cyc[k]):
         verdicts.slip[k], verdicts.jump_cyc[k] = verdict, jump_cyc
 
 
-@kernel
+@kernel_in_place
 def _needed(satellite: NDArray[np.int16], k: int, residual_m: Vector) -> int:
     """Return the redundancy that makes a residual the size of a jump: one satellite where another band of this one is at its place."""
     for j in range(max(k - _BANDS, 0), min(k + _BANDS + 1, len(satellite))):
@@ -323,7 +323,7 @@ def _needed(satellite: NDArray[np.int16], k: int, residual_m: Vector) -> int:
     return REPAIR_REDUNDANCY
 
 
-@kernel
+@kernel_in_place
 def _conclude(k: int, jump_cyc: float, sigma_cyc: float, verdicts: Verdicts) -> None:
     """Write the verdict on a phase that slipped."""
     halves = np.rint(2.0 * jump_cyc)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from math import nan
 from typing import Final
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtkmesh.gnss.integrity import Integrity
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh.rtk.state import DYNAMIC, SLOPE_KEY, ZENITH_KEY
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -158,35 +160,77 @@ def no_satellites() -> SatelliteTable:
     return SatelliteTable(np.zeros((0, TABLE)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+_nan3: Final = np.full(3, nan).copy  # a copy costs a tenth of another array
+_nan7: Final = np.full(7, nan).copy
+_nan9: Final = np.full(DYNAMIC, nan).copy
+_nan33: Final = np.full((3, 3), nan).copy
+
+
+@dataclass(slots=True, eq=False)
 class FloatState:
     """The filter beside the integers: where the float solution is, and the states that long baselines and GLONASS need. Unknown is NaN.
 
-    Position, velocity and acceleration are ECEF. ``zenith_m`` is the rover's zenith delay against the base's, beyond the model;
-    ``glonass_slope_m`` what a phase is off per frequency channel; ``ionosphere_m`` the delays of ``satellites`` on L1, along the ray, rover
-    against base and beyond the model.
+    Taken from the states of the filter when it is asked: ``x`` begins with its baseline, velocity and acceleration on the filter's clock,
+    which ``sense`` (1 or -1) turns to GPS time; ``moves``: it knows of motion. ``keys`` and ``shared`` are keys and values of the states
+    that are no ambiguities, of the filter that knows the atmosphere.
     """
 
-    position_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
-    velocity_ecef_mps: Vector = field(default_factory=lambda: np.full(3, np.nan))
-    acceleration_ecef_mps2: Vector = field(default_factory=lambda: np.full(3, np.nan))
-    zenith_m: float = float("nan")
-    glonass_slope_m: float = float("nan")
-    satellites: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    ionosphere_m: Vector = field(default_factory=lambda: np.zeros(0))
+    base_ecef_m: Vector = field(default_factory=_nan3)
+    x: Vector = field(default_factory=_nan9)
+    keys: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    shared: Vector = field(default_factory=lambda: np.zeros(0))
+    sense: float = 1.0
+    moves: bool = False
+
+    @property
+    def position_ecef_m(self) -> Vector:
+        """Position."""
+        return self.base_ecef_m + self.x[:3]
+
+    @property
+    def velocity_ecef_mps(self) -> Vector:
+        """Velocity (of a moving base: of the baseline)."""
+        return self.sense * self.x[3:6] if self.moves else _nan3()
+
+    @property
+    def acceleration_ecef_mps2(self) -> Vector:
+        """Acceleration (of a moving base: of the baseline)."""
+        return self.x[6:9] if self.moves else _nan3()
+
+    @property
+    def zenith_m(self) -> float:
+        """Zenith delay of the rover against the base, beyond the model."""
+        return self._value(ZENITH_KEY)
+
+    @property
+    def glonass_slope_m(self) -> float:
+        """What a phase is off per frequency channel of GLONASS."""
+        return self._value(SLOPE_KEY)
+
+    @property
+    def satellites(self) -> NDArray[np.int64]:
+        """Satellites whose ionosphere is a state."""
+        return self.keys[self._is_ionosphere]
+
+    @property
+    def ionosphere_m(self) -> Vector:
+        """Delays of ``satellites`` on L1, along the ray, rover against base and beyond the model."""
+        return self.shared[self._is_ionosphere]
+
+    @property
+    def _is_ionosphere(self) -> NDArray[np.bool_]:
+        return (self.keys != ZENITH_KEY) & (self.keys != SLOPE_KEY)
+
+    def _value(self, key: int) -> float:
+        found = self.shared[self.keys == key]
+        return float(found[0]) if len(found) else nan
 
 
-def _nan3() -> Vector:
-    return np.full(3, np.nan)
-
-
-def _nan33() -> Matrix:
-    return np.full((3, 3), np.nan)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Solution:
     """The solution of one rover epoch. Vectors are ECEF, metres and seconds; covariances are full 3x3; unknown is NaN.
+
+    A value: nobody writes to it (a frozen dataclass of so many fields takes 8 us to make, this one 1).
 
     ``time`` is the receiver's epoch tag (GPST) that pairs it with others; ``age_s`` is rover minus base epoch;
     ``baseline_ecef_m`` is rover minus base. ``ratio`` is second-best over best squared norm of the integer search (0: none).
@@ -213,7 +257,7 @@ class Solution:
     baseline_cov_ecef_m2: Matrix = field(default_factory=_nan33)
     single_position_ecef_m: Vector = field(default_factory=_nan3)
     receiver_clock_s: float = float("nan")
-    clocks_s: Vector = field(default_factory=lambda: np.full(7, np.nan))
+    clocks_s: Vector = field(default_factory=_nan7)
     age_s: float = float("nan")
     ratio: float = 0.0
     ratio_threshold: float = 0.0

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, MAX_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.code_arcs import new_codes
@@ -84,7 +84,7 @@ def use_keys(f: Filter, current: Indices, time_s: float, maximum_gap_s: float) -
     return Filter(x, P, keys, history)
 
 
-@kernel
+@kernel_in_place
 def place_of(keys: Indices, key: int) -> int:
     """Return where a key is in the sorted keys, -1 if it is not there."""
     low, high = 0, len(keys)

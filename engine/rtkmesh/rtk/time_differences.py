@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -92,7 +92,7 @@ def time_difference_test(change_m: Vector, threshold_m: Vector, voices: Voices, 
     return used - unknowns
 
 
-@kernel
+@kernel_in_place
 def _voting(change_m: Vector, votes: NDArray[np.bool_], weight: Vector) -> int:
     """Write 1 as the weight of all phases that vote; return how many there are at all."""
     tested = 0
@@ -117,20 +117,20 @@ def _fit_robustly(change_m: Vector, voices: Voices, voting: Vector, residual_m: 
     return True
 
 
-@kernel
+@kernel_in_place
 def _residuals(change_m: Vector, voices: Voices, y: Vector, residual_m: Vector) -> None:
     direction, dx, dy, dz, clock = voices.direction, y[0], y[1], y[2], y[3]
     for k in range(len(change_m)):
         residual_m[k] = change_m[k] - clock + direction[k, 0] * dx + direction[k, 1] * dy + direction[k, 2] * dz
 
 
-@kernel
+@kernel_in_place
 def predicted_change_m(direction: Matrix, k: int, step_m: Vector) -> float:
     """Return how much a motion and a clock (m, 4) change phase k."""
     return step_m[3] - direction[k, 0] * step_m[0] - direction[k, 1] * step_m[1] - direction[k, 2] * step_m[2]
 
 
-@kernel
+@kernel_in_place
 def prediction_sigma_m(direction: Matrix, k: int, found: Motion) -> float:
     """Return the sigma of that (m), with that of the phase's own time difference."""
     total = _SIGMA_M**2
@@ -141,7 +141,7 @@ def prediction_sigma_m(direction: Matrix, k: int, found: Motion) -> float:
     return sqrt(total)
 
 
-@kernel
+@kernel_in_place
 def agreeing(satellite: NDArray[np.int16], residual_m: Vector, threshold_m: Vector) -> int:
     """Return how many satellites (sorted) have a phase that fits."""
     count, last = 0, -1
@@ -155,7 +155,7 @@ def agreeing(satellite: NDArray[np.int16], residual_m: Vector, threshold_m: Vect
 # --- where the robust fit leaves a contradiction ---
 
 
-@kernel
+@kernel_in_place
 def _contradictory(voices: Voices, voting: Vector, threshold_m: Vector, residual_m: Vector, y: Vector) -> bool:
     """Return whether phases that vote do not fit (or the Dopplers), with too few satellites that do to be sure whose fault it is.
 
@@ -171,7 +171,7 @@ def _contradictory(voices: Voices, voting: Vector, threshold_m: Vector, residual
     return against > 0 and fitting < _UNKNOWNS + _SURPLUS + against
 
 
-@kernel
+@kernel_in_place
 def _surprise(voices: Voices, y: Vector) -> float:
     """Return by how many sigmas a motion differs from what Dopplers let expect; 0 where they do not."""
     if not isfinite(voices.expected[3]):
@@ -220,7 +220,7 @@ def _one_each(satellite: NDArray[np.int16], voting: Vector) -> Indices:
     return out[:, :count]
 
 
-@kernel
+@kernel_in_place
 def _disagreement(residual_m: Vector, threshold_m: Vector, voting: Vector, voices: Voices, surprise: float) -> float:
     """Return the sum of squared residuals of voting phases and Dopplers, each cut off where it contradicts: slips are whole cycles."""
     total = min((surprise / _UNEXPECTED) ** 2, 1.0) * _DOPPLER_PHASES
@@ -233,7 +233,7 @@ def _disagreement(residual_m: Vector, threshold_m: Vector, voting: Vector, voice
     return total
 
 
-@kernel
+@kernel_in_place
 def _next_subset(chosen: Indices, n: int) -> bool:
     """Write the next subset of the numbers below n in the order of the alphabet; False after the last."""
     size = len(chosen)
@@ -248,7 +248,7 @@ def _next_subset(chosen: Indices, n: int) -> bool:
     return True
 
 
-@kernel
+@kernel_in_place
 def _random_subset(chosen: Indices, n: int, state: int) -> int:
     """Write different numbers below n; return the state of the generator (Park and Miller 1988), for runs must repeat themselves."""
     count = 0
@@ -266,18 +266,17 @@ def _random_subset(chosen: Indices, n: int, state: int) -> int:
 # --- arithmetic ---
 
 
-@kernel
+@kernel_in_place
 def _fit(change_m: Vector, voices: Voices, weight: Vector, A: Matrix, y: Vector) -> bool:
     """Solve the weighted normal equations of (motion, clock) into ``y``; ``A`` receives the inverse. False if singular."""
     A[:, :] = 0.0
     y[:] = 0.0
-    direction, scale, h = voices.direction, -1.0 if voices.moving else 0.0, np.ones(_UNKNOWNS)
+    direction, scale = voices.direction, -1.0 if voices.moving else 0.0
     for k in range(len(change_m)):
         w = weight[k]
         if not w > 0.0:
             continue
-        for i in range(3):
-            h[i] = scale * direction[k, i]
+        h = (scale * direction[k, 0], scale * direction[k, 1], scale * direction[k, 2], 1.0)
         for i in range(_UNKNOWNS):
             a = w * h[i]
             y[i] += a * change_m[k]
@@ -292,7 +291,7 @@ def _fit(change_m: Vector, voices: Voices, weight: Vector, A: Matrix, y: Vector)
     return _invert(A, y)
 
 
-@kernel
+@kernel_in_place
 def _invert(A: Matrix, y: Vector) -> bool:
     """Gauss-Jordan with a symmetric positive definite A, in place; ``y`` becomes the solution."""
     n = len(y)
@@ -319,7 +318,7 @@ def _invert(A: Matrix, y: Vector) -> bool:
     return True
 
 
-@kernel
+@kernel_in_place
 def _spread(weight: Vector, residual_m: Vector, redundancy: int, A: Matrix, cov_m2: Matrix) -> None:
     """Write the covariance: the inverse normal matrix times the variance of unit weight (at least _SIGMA_M squared)."""
     total = 0.0

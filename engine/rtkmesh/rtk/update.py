@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.filter import (
     AT_AMBIGUITY,
@@ -135,7 +135,7 @@ def adjust(f: Filter, work: Work, velocity_mps: Vector, velocity_cov_m2ps2: Matr
     return True
 
 
-@kernel
+@kernel_in_place
 def _differ(found: Vector, factors: Vector) -> bool:
     largest = 0.0
     for k in range(len(factors)):
@@ -157,7 +157,7 @@ def _outcome(ok: bool, work: Work, phase_inflation: Vector) -> Update:
     return Update(ok, work.value[:n], work.value[n:], code_used, phase_used, chi2, dof)
 
 
-@kernel
+@kernel_in_place
 def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector, phase_scale: float, work: Work) -> None:
     """Write code (first n rows) and phase (last n rows) observations of n pairs; ``factors`` are those of code variances per system."""
     n, table, out, places = len(d.pairs.satellite), d.table, work.observations, work.places
@@ -190,7 +190,7 @@ def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector
             out[row, W] = 1.0 / variance if usable else 0.0
 
 
-@kernel
+@kernel_in_place
 def code_statistics(d: Differences, work: Work, out: Matrix) -> None:
     """Write, per system, sums of squared code residuals normalised by the sigma for a factor of 1, and their redundancy."""
     out[:, :] = 0.0

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
 from rtkmesh.rtk.acceptance import FAR_M, search_all, try_new
@@ -224,7 +224,7 @@ def norm_of(f: Filter, pairs: Indices, integers: Vector) -> float:
     return condition(f.x, f.P, pairs, integers, 0.0, np.empty(0, np.int64), np.empty(0), np.empty((0, 0)))
 
 
-@kernel
+@kernel_in_place
 def note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
     """Count doubts in a row; release what is held when they last, and forget where it put the rover."""
     memory[DOUBTS] = memory[DOUBTS] + 1.0 if doubt else max(memory[DOUBTS] - 1.0, 0.0)
@@ -277,7 +277,7 @@ def fix(
     return Resolution(reason, fixed, x, P, ratio, free.odds, threshold, free.success, count if fixed else 0, grade, norm)
 
 
-@kernel
+@kernel_in_place
 def _sigma_m(P: Matrix) -> float:
     """Return the sigma of a position in 3D (m)."""
     return sqrt(max(P[0, 0] + P[1, 1] + P[2, 2], 0.0))
@@ -289,13 +289,13 @@ def _least_count(setup: ResolveSetup) -> int:
     return min(setup.minimum_ambiguities, 4) if isfinite(setup.length_m) else setup.minimum_ambiguities
 
 
-@kernel
+@kernel_in_place
 def _is_far(f: Filter) -> bool:
     """Return whether the informed filter has a say."""
     return f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2 > FAR_M**2
 
 
-@kernel
+@kernel_in_place
 def _tell(f: Filter, pairs: Indices, integers: Vector, memory: Vector, setup: ResolveSetup, grade: int) -> None:
     """In fix-and-hold, tell the filter of integers that have proven themselves (softly, so that it can still object)."""
     if setup.hold_after < 0 or grade < 3 or memory[CONFIRMED] < setup.hold_after:
@@ -303,7 +303,7 @@ def _tell(f: Filter, pairs: Indices, integers: Vector, memory: Vector, setup: Re
     tell(f, pairs, integers, setup.hold_variance_cyc2)
 
 
-@kernel
+@kernel_in_place
 def ratio_for(count: int, odds: float) -> float:
     """Return the ratio that gives these odds when the best norm is what is expected of it (its count)."""
     if count == 0:

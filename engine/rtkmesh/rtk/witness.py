@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, Search, pairs_of, search_pairs
@@ -56,7 +56,7 @@ def others_of(f: Filter, pairs: Indices) -> Indices:
     return rows[:count]
 
 
-@kernel
+@kernel_in_place
 def first_rival(fixed: Matrix, own: Indices) -> int:
     """Return the first vector that differs from the best in one of its ``own`` places, the last one if none does."""
     for j in range(1, len(fixed)):
