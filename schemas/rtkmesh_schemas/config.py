@@ -4,7 +4,7 @@ Unknown fields are errors; every number has bounds. Loading with line numbers an
 (``rtkmesh_services.runtime.configuration``).
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 from msgspec import Meta
@@ -17,6 +17,7 @@ from rtkmesh_schemas.config_presets import BasesTable, FilterTable, PresetNames,
 from rtkmesh_schemas.config_rules import RuleTable
 from rtkmesh_schemas.config_telnet import TelnetTable
 
+LEAST_AMBIGUITIES: Final = 5  # of a baseline of unknown length, as the engine has it
 Degrees90 = Annotated[float, Meta(ge=0.0, le=90.0)]
 EcefVector = tuple[
     Annotated[float, Meta(ge=-1e7, le=1e7)], Annotated[float, Meta(ge=-1e7, le=1e7)], Annotated[float, Meta(ge=-1e7, le=1e7)]

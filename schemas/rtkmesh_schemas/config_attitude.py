@@ -129,8 +129,8 @@ class AttitudeTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True
     about antennas on one line, which they do not see. ``geometry``: known
     places (or ``length_m``) decide between the candidate integers of baselines that are not fixed, or contradict each other; on, because
     it costs a millisecond, gives single epochs of one frequency an attitude, and is wrong about as often as its failure rate of 1 % allows
-    (benchmarks/attitude_search.py: with GPS on one frequency 0.4 to 1.6 % of those, else never). ``max_tilt_deg``: the vehicle is never
-    further from level, which helps that choice.
+    (benchmarks/attitude_search.py: with GPS on one frequency 0.4 to 1.6 % of those, else never).
+    ``max_tilt_deg``: the vehicle is never further from level, which helps that choice.
     ``points``: places of the vehicle whose position is published.
     """
 

@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtkmesh.errors import OptionError
+from rtkmesh.rtk import options
 from rtkmesh.rtk.options import AmbiguityOptions, RtkOptions
+from rtkmesh_schemas.config import LEAST_AMBIGUITIES
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.keys import Role
 from rtkmesh_services.mapping.options import rtk_options
@@ -141,6 +143,7 @@ def test_few_ambiguities_are_enough_where_the_length_is_known():
     assert errors_of(few)
     assert not errors_of(known)
     assert rtk_options(parse_deployment(known, "f.toml").solver["rtk"]).ambiguity.minimum_ambiguities == 4
+    assert LEAST_AMBIGUITIES == options.LEAST_AMBIGUITIES
     with pytest.raises(OptionError, match="fewer than 5 are believed only with baseline_length_m"):
         RtkOptions(ambiguity=AmbiguityOptions(minimum_ambiguities=4))
 

@@ -5,8 +5,7 @@ from typing import Any, Final
 
 import msgspec
 
-from rtkmesh.rtk.options import LEAST_AMBIGUITIES
-from rtkmesh_schemas.config import SolverTable
+from rtkmesh_schemas.config import LEAST_AMBIGUITIES, SolverTable
 from rtkmesh_services.conf.changes import Change, Setter, ignored, taken, translated
 from rtkmesh_services.conf.choices import Dialect
 from rtkmesh_services.conf.rows import Row

@@ -6,8 +6,7 @@ from typing import Final
 
 from rtkmesh.errors import OptionError
 from rtkmesh.gnss.receiver_options import parse_receiver_options
-from rtkmesh.rtk.options import LEAST_AMBIGUITIES
-from rtkmesh_schemas.config import Deployment, IngestTable, SolverTable
+from rtkmesh_schemas.config import LEAST_AMBIGUITIES, Deployment, IngestTable, SolverTable
 from rtkmesh_schemas.config_attitude import AttitudeTable
 from rtkmesh_schemas.errors import BadKeyError
 from rtkmesh_schemas.keys import CONTROL_ID, HUB_ID, check_id
