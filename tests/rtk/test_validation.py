@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
+from rtkmesh.rtk.agreement import FAINT_ODDS, MIRRORED_CODES, PROVEN_LEAST_S
 from rtkmesh.rtk.ambiguity import Candidates, Search
 from rtkmesh.rtk.asked_odds import STREET_CODES
-from rtkmesh.rtk.joining import join
-from rtkmesh.rtk.memory import DOUBTS, FIX_SIGMA, HELD_SINCE_S, SHOWN, new_memory, resolve_setup
+from rtkmesh.rtk.joining import extend, join
+from rtkmesh.rtk.memory import DOUBTS, FIX_SIGMA, HELD_SINCE_S, PROVEN_S, SHOWN, new_memory, resolve_setup
 from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.predicted import PREDICTION_FLOOR_M, WEAK_M, carry, departure
 from rtkmesh.rtk.redundancy import LEAST_SATELLITES, count_satellites
@@ -49,12 +50,12 @@ def floating(held, phase_sigma_m=PHASE_SIGMA_M, sky=SKY, integers=INTEGERS, sate
     return Filter(x, P, numbers * KEYS_PER_SATELLITE + np.arange(n), history)
 
 
-def fixed(held, prediction, level=1.0, last_sigma_m=0.0, phase_sigma_m=PHASE_SIGMA_M):
+def fixed(held, prediction, level=1.0, last_sigma_m=0.0, phase_sigma_m=PHASE_SIGMA_M, proven_s=PROVEN_LEAST_S, odds=-np.inf):
     """What is shown of these integers with this prediction, and the doubts it leaves."""
     n, memory = len(INTEGERS), new_memory()
-    memory[SHOWN], memory[HELD_SINCE_S], memory[FIX_SIGMA] = 1.0, 0.0, last_sigma_m
+    memory[SHOWN], memory[HELD_SINCE_S], memory[FIX_SIGMA], memory[PROVEN_S] = 1.0, 0.0, last_sigma_m, proven_s
     candidates = Candidates(np.arange(n), np.zeros(n, np.int64), np.arange(n) + 1, np.arange(n) + 1.0)
-    free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, -np.inf, False)
+    free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, odds, False)
     setup = resolve_setup(AmbiguityOptions(), None, 0.01)
     return fix(floating(held, phase_sigma_m), candidates, free, memory, setup, prediction, 1.0, level), memory[DOUBTS]
 
@@ -116,6 +117,15 @@ def test_the_last_fix_helps_one_that_few_satellites_carry():
     assert np.linalg.norm(helped.x[:3] - at_m) < np.linalg.norm(alone.x[:3] - at_m)
     assert little.x[:3] == pytest.approx(alone.x[:3], abs=1e-3)
     assert little.reason == TOO_UNCERTAIN
+
+
+def test_few_integers_must_be_proven_where_codes_are_reflected():
+    """New ones that a search hardly gives are hidden until searches have given them clearly; where codes are fair they are shown."""
+    street, at_m, faint = MIRRORED_CODES + 0.1, predicted(TRUE_M), FAINT_ODDS - 0.1
+    assert fixed(INTEGERS, at_m, street, proven_s=0.0, odds=faint)[0].reason == NOT_VALID
+    for level, proven_s, odds in ((street, 0.0, FAINT_ODDS), (street, PROVEN_LEAST_S, faint), (MIRRORED_CODES, 0.0, faint)):
+        assert fixed(INTEGERS, at_m, level, proven_s=proven_s, odds=odds)[0].reason == FIX_OK
+    assert fixed(INTEGERS, at_m, np.inf, proven_s=0.0, odds=faint)[0].reason == FIX_OK
 
 
 def test_fixes_of_many_satellites_stay_as_they_are():
@@ -197,3 +207,27 @@ def test_satellites_are_counted_once(keys, random):
     pairs = np.array([random.sample(range(n), 2) for _ in range(random.randint(1, n))])
     assert count_satellites(f, pairs + DYNAMIC) == len({keys[k][0] for k in pairs.ravel()})
     assert LEAST_SATELLITES == 5
+
+
+def searched(f, pairs, integers):
+    return Search(pairs, integers, np.full(len(f.keys), np.nan), 0.0, np.inf, 1.0, 20.0, True)
+
+
+@pytest.mark.parametrize("reference", [0, 4])
+def test_integers_that_a_search_gives_beside_the_held_ones_are_held(reference):
+    """Two of five are held, with an offset of their own; whichever the reference is, all have that offset then."""
+    held = np.array([np.nan, -7.0, 12.0, np.nan, np.nan]) + 40.0
+    f, others = floating(held), np.delete(np.arange(5), reference)
+    pairs = np.column_stack([others, np.full(4, reference)]) + DYNAMIC
+    extend(f, searched(f, pairs, INTEGERS[others] - INTEGERS[reference]))
+    assert f.history[:, INTEGER] == pytest.approx(INTEGERS + 40.0, abs=0.0)
+
+
+def test_a_group_of_which_nothing_is_held_is_held_by_its_rounded_reference():
+    held = np.concatenate([INTEGERS, np.full(4, np.nan)])
+    f = floating(held, sky=SKY + OTHER_SKY, integers=np.concatenate([INTEGERS, OTHER_INTEGERS]))
+    pairs = np.array([(6, 5), (7, 5), (8, 5)]) + DYNAMIC
+    extend(f, searched(f, pairs, OTHER_INTEGERS[1:] - OTHER_INTEGERS[0]))
+    assert f.history[:5, INTEGER] == pytest.approx(INTEGERS, abs=0.0)
+    assert f.history[5, INTEGER] == np.rint(f.x[DYNAMIC + 5])
+    assert np.diff(f.history[5:, INTEGER]) == pytest.approx(np.diff(OTHER_INTEGERS), abs=0.0)

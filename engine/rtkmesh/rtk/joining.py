@@ -9,6 +9,7 @@ from rtkmesh._jit import kernel
 from rtkmesh.rtk.ambiguity import (
     NODE_LIMIT,
     Candidates,
+    Search,
     condition,
     held_differences,
     held_references,
@@ -92,6 +93,30 @@ def _groups_join(f: Filter, aided: Filter, pairs: Indices, held: Indices, fit: f
     for k in range(count):
         f.history[pairs[k, 0] - DYNAMIC, INTEGER] = f.history[pairs[k, 1] - DYNAMIC, INTEGER] + fixed[0, k]
     return True
+
+
+@kernel
+def extend(f: Filter, found: Search) -> None:
+    """Hold, beside what is held, the other integers of a search that gives that too; where none of a group is held its reference gets its
+    rounded float value.
+    """
+    for k in range(len(found.pairs)):
+        reference = found.pairs[k, 1] - DYNAMIC
+        if not np.isfinite(f.history[reference, INTEGER]):
+            f.history[reference, INTEGER] = _offset(f, found, found.pairs[k, 1])
+    for k in range(len(found.pairs)):
+        state, reference = found.pairs[k, 0] - DYNAMIC, found.pairs[k, 1] - DYNAMIC
+        f.history[state, INTEGER] = f.history[reference, INTEGER] + found.integers[k]
+
+
+@kernel
+def _offset(f: Filter, found: Search, reference: int) -> float:
+    """Return the integer of a reference by what is held of its group, or rounded."""
+    for k in range(len(found.pairs)):
+        integer = f.history[found.pairs[k, 0] - DYNAMIC, INTEGER]
+        if found.pairs[k, 1] == reference and np.isfinite(integer):
+            return float(integer - found.integers[k])
+    return float(np.rint(f.x[reference]))
 
 
 @kernel

@@ -27,12 +27,14 @@ SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 
 # What is remembered of one filter from epoch to epoch, in the memory of ``resolve``. SLOPE and SLOPE_SIGMA (m) are those of GLONASS phase
 # biases per channel; LAST_* are numbers of the last free search; UNAGREED counts epochs since one gave what is held (``integrity``),
-# MISSED those since the last fix, at LAST_FIX_S (``agreement``), FIX_SIGMA is the sigma of that in 3D (m); truth values are 0.0 and 1.0.
+# MISSED those since the last fix, at LAST_FIX_S (``agreement``), FIX_SIGMA is the sigma of that in 3D (m); AGREED_S and PROVEN_S
+# say for how long searches have given what is held, and have done so clearly, as of NOTED_S (``agreement``); truth values are 0.0 and 1.0.
 (
     STREAK_START_S, STREAK_EPOCHS, DOUBTS, HELD_SINCE_S, CONFIRMED, SHOWN, SINCE_SEARCH, TRUSTS_GLONASS, GLONASS_VOTES, SLOPE, SLOPE_SIGMA,
     LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED, UNAGREED, LAST_FIX_S, MISSED, FIX_SIGMA,
-) = range(21)  # fmt: skip
-MEMORY: Final = 21
+    AGREED_S, PROVEN_S, NOTED_S,
+) = range(24)  # fmt: skip
+MEMORY: Final = 24
 
 
 class ResolveSetup(NamedTuple):
@@ -71,7 +73,7 @@ def forget(memory: Vector) -> None:
     kept = memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]]
     memory[:] = 0.0
     memory[[STREAK_START_S, HELD_SINCE_S, LAST_FIX_S]] = inf
-    memory[LAST_COUNT] = -1.0
+    memory[LAST_COUNT], memory[NOTED_S] = -1.0, -inf
     memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]] = kept
 
 

@@ -11,7 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import SURE
-from rtkmesh.rtk.agreement import note_fix
+from rtkmesh.rtk.agreement import note_fix, note_proof
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
@@ -246,9 +246,11 @@ def _find_integers(
         use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction, look.level)
         note_agreement(known.memory, confirmed, time_s)
+        note_proof(known.memory, confirmed, free.odds, time_s)
         note_fix(known.memory, settled.resolution.fixed, time_s)
         return settled
     note_agreement(known.memory, confirmed, time_s)
+    note_proof(known.memory, confirmed, free.odds, time_s)
     resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level)
     note_fix(known.memory, resolution.fixed, time_s)
     norm = held_norm(f, candidates) if look.sharper < 1.0 else resolution.norm

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
-from rtkmesh.rtk.acceptance import FAR_M, search_all, try_new
-from rtkmesh.rtk.agreement import DEPARTURE_ALONE, stands_alone
+from rtkmesh.rtk.acceptance import FAR_M, log_space, search_all, try_new
+from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_unsafe, stands_alone
 from rtkmesh.rtk.ambiguity import (
     Candidates,
     Search,
@@ -27,7 +27,7 @@ from rtkmesh.rtk.ambiguity import (
     tell,
 )
 from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
-from rtkmesh.rtk.joining import join
+from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
     ACCEPT_AT_ONCE,
@@ -79,6 +79,7 @@ FIX_SIGMA_M: Final = 0.15  # a fix must be this good: who reads FIX expects cent
 # streets 143 were off by more than 0.15 m, 141 with such codes; 85 with sigmas beyond this, most of them with right integers.
 STREET_SIGMA_M: Final = 0.07
 JOIN_FIT_STREET: Final = 4.0  # squared norm per ambiguity that joins there: reflected phases are parts of a cycle off any integer
+EXTEND_FIT: Final = 2.0  # squared norm per ambiguity of a search whose integers are taken beside those that are held
 CONFIRMATIONS: Final = 3
 INFORMED_EPOCHS: Final = 3  # epochs in which the informed filter must have found no strain for that to count as agreement
 
@@ -135,7 +136,10 @@ def decide(
     asked, asked_of_told = asked_odds(level, False, f.x), asked_odds(level, told.odds > free.odds, f.x)
     free = told
     if len(held) >= 3:
+        confirmed = memory[CONFIRMED]
         _watch(f, held, free, memory, setup, prediction)
+        if memory[CONFIRMED] > confirmed and len(free.pairs) > len(held) and _extends(f, free, setup.confidence * asked_of_told):
+            extend(f, free)
         held = pairs_of(take(everything, is_held(f, everything)))
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
     aided = with_prediction(f, prediction) if helped else f
@@ -219,6 +223,12 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
 
 
 @kernel
+def _extends(f: Filter, free: Search, asked: float) -> bool:
+    """Return whether a search that gives what is held would be believed by itself, so that its other integers are held too."""
+    return not _is_far(f) and free.odds >= asked + log_space(f) and free.norm <= EXTEND_FIT * len(free.pairs)
+
+
+@kernel
 def norm_of(f: Filter, pairs: Indices, integers: Vector) -> float:
     """Return the squared norm of integers against the float ambiguities."""
     return condition(f.x, f.P, pairs, integers, 0.0, np.empty(0, np.int64), np.empty(0), np.empty((0, 0)))
@@ -253,6 +263,7 @@ def fix(
         if sigma_m > WEAK_M and is_street(level) and isfinite(prediction[3]) and not _is_far(f):
             carry(x, P, prediction, memory[FIX_SIGMA])
             sigma_m = _sigma_m(P)
+        alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds)
         reason = FIX_OK
         if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
             reason = NOT_VALID
@@ -261,7 +272,7 @@ def fix(
         elif away > DEPARTURE_LIMIT:
             note(f, True, memory, prediction)
             reason = NOT_VALID
-        elif not _is_far(f) and (stands_alone(memory, away, time_s) or (are_bare(f, pairs) and not isfinite(setup.length_m))):
+        elif not _is_far(f) and (alone or (are_bare(f, pairs) and not isfinite(setup.length_m))):
             reason = NOT_VALID
             if away <= DEPARTURE_ALONE:  # not shown, but where the next one is expected from
                 prediction[:3], prediction[3], memory[FIX_SIGMA] = x[:3], 0.0, sigma_m
