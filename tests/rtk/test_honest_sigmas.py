@@ -75,6 +75,31 @@ def test_recorded_static_pairs(sigmas: ModuleType, data: Path, name: str, fix: t
         assert low < sigmas.figures(errors)["mean"] < high, mode
 
 
+# Family and bounds of the mean of its velocities. Behind them: 0.95, 0.99, 0.9, 0.72 (seed 7 0.87, 1.0, 0.85, 0.71).
+VELOCITIES = [("open", (0.6, 1.5)), ("open_f9p_l1", (0.6, 1.5)), ("open_m8_l1", (0.6, 1.5)), ("urban", (0.4, 1.5))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "bounds"), VELOCITIES)
+def test_simulated_velocities(sigmas: ModuleType, name: str, bounds: tuple[float, float]):
+    """What Dopplers say of themselves: under open sky and in streets."""
+    family = next(f for f in sigmas.FAMILIES if f.name == name)
+    found = sigmas.figures(sigmas.of_velocities(family, 1, RUNS))
+    assert found["number"] > RUNS * 60
+    assert bounds[0] < found["mean"] < bounds[1]
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_recorded_velocities(sigmas: ModuleType, data: Path):
+    """Survey receivers that stand still: millimetres per second (0.75); those that send no Dopplers are not judged."""
+    tokyo, kanagawa = sigmas.load(data, ["tokyo_static_l1gps", "kanagawa_60s"])
+    found = sigmas.figures(sigmas.of_recorded_velocities(tokyo))
+    assert 0.5 < found["mean"] < 1.5
+    assert found["sigma_m"] < 0.03
+    assert not sigmas.of_recorded_velocities(kanagawa).cov.size
+
+
 def test_the_measure_itself_is_one_for_errors_as_large_as_claimed(sigmas: ModuleType):
     """Drawn from their own covariances: mean 1 and rms 1 per axis; claims of half the sigma give four."""
     rng = np.random.default_rng(1)
