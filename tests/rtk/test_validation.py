@@ -15,7 +15,7 @@ from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.predicted import PREDICTION_FLOOR_M, WEAK_M, carry, departure
 from rtkmesh.rtk.redundancy import LEAST_SATELLITES, count_satellites
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, HISTORY, INTEGER, Filter
-from rtkmesh.rtk.validation import FIX_OK, FIX_SIGMA_M, JOIN_FIT_STREET, NOT_VALID, STREET_SIGMA_M, TOO_UNCERTAIN, fix
+from rtkmesh.rtk.validation import FEW_AMBIGUITIES, FIX_OK, FIX_SIGMA_M, JOIN_FIT_STREET, NOT_VALID, STREET_SIGMA_M, TOO_UNCERTAIN, fix
 
 WAVELENGTH_M = 0.19
 PHASE_SIGMA_M = 0.015
@@ -50,13 +50,19 @@ def floating(held, phase_sigma_m=PHASE_SIGMA_M, sky=SKY, integers=INTEGERS, sate
     return Filter(x, P, numbers * KEYS_PER_SATELLITE + np.arange(n), history)
 
 
-def fixed(held, prediction, level=1.0, last_sigma_m=0.0, phase_sigma_m=PHASE_SIGMA_M, proven_s=PROVEN_LEAST_S, odds=-np.inf):
+FEW = AmbiguityOptions(minimum_ambiguities=4)  # so that one satellite more than is needed can be a fix here
+
+
+def fixed(
+    held, prediction, level=1.0, last_sigma_m=0.0, phase_sigma_m=PHASE_SIGMA_M, proven_s=PROVEN_LEAST_S, odds=-np.inf, options=FEW,
+    length_m=None,
+):  # fmt: skip
     """What is shown of these integers with this prediction, and the doubts it leaves."""
     n, memory = len(INTEGERS), new_memory()
     memory[SHOWN], memory[HELD_SINCE_S], memory[FIX_SIGMA], memory[PROVEN_S] = 1.0, 0.0, last_sigma_m, proven_s
     candidates = Candidates(np.arange(n), np.zeros(n, np.int64), np.arange(n) + 1, np.arange(n) + 1.0)
     free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, odds, False)
-    setup = resolve_setup(AmbiguityOptions(), None, 0.01)
+    setup = resolve_setup(options, length_m, 0.01)
     return fix(floating(held, phase_sigma_m), candidates, free, memory, setup, prediction, 1.0, level), memory[DOUBTS]
 
 
@@ -75,6 +81,15 @@ def test_a_cycle_that_few_satellites_hide_is_seen_by_where_it_puts_the_rover():
     assert np.linalg.norm(unseen.x[:3] - TRUE_M) > 0.1
     seen, doubts = fixed(wrong, predicted(TRUE_M))
     assert (seen.reason, doubts) == (NOT_VALID, 1.0)
+
+
+def test_four_integers_are_no_fix_unless_the_length_is_known():
+    """However long they are held; as many as are asked of new ones."""
+    usual, at_m = AmbiguityOptions(), predicted(TRUE_M)
+    assert usual.minimum_ambiguities == 5
+    few = fixed(INTEGERS, at_m, options=usual)[0]
+    assert (few.reason, few.fixed, few.integers) == (FEW_AMBIGUITIES, False, 0)
+    assert fixed(INTEGERS, at_m, options=usual, length_m=130.0)[0].reason == FIX_OK
 
 
 def test_a_prediction_that_says_little_refuses_little():
