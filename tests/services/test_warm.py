@@ -25,7 +25,7 @@ def sources() -> dict[str, ast.Module]:
 
 
 def is_kernel(node: ast.AST) -> bool:
-    return isinstance(node, ast.FunctionDef) and any(isinstance(d, ast.Name) and d.id in {"kernel", "kernel_in_place"} for d in node.decorator_list)
+    return isinstance(node, ast.FunctionDef) and any(ast.unparse(one) in {"kernel", "kernel_in_place"} for one in node.decorator_list)
 
 
 def names_in_python(node: ast.AST) -> Iterator[str]:

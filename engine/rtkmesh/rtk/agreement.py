@@ -1,4 +1,4 @@
-"""Which fixes are shown when the free search of their epoch does not give the integers that they hold.
+"""Which fixes are shown when the free search of their epoch does not give the integers that they hold, or hardly does.
 
 Right integers outlive weak epochs, so that alone is no doubt. But what is wrong of fixes in streets is mostly among these: integers that
 a search gave once and never again, held ones that come back after a while of slips that nobody told, phases that arrive by a reflection.
