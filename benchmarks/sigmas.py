@@ -84,19 +84,20 @@ class Errors:
 
 def errors(solutions: Sequence[Solution], truth_ecef_m: Vector) -> Errors:
     """Return errors of positions against one truth or one per solution."""
-    if not solutions:
-        return Errors(np.empty((0, 3)), np.empty((0, 3, 3)))
-    position = np.array([s.position_ecef_m for s in solutions])
-    turn = enu_from_ecef_at(position[0])
-    return Errors((position - truth_ecef_m) @ turn.T, turn @ np.array([s.position_cov_ecef_m2 for s in solutions]) @ turn.T)
+    return _in_horizon([(s.position_ecef_m, s.position_cov_ecef_m2) for s in solutions], truth_ecef_m, solutions)
 
 
 def velocity_errors(solutions: Sequence[Solution], truth_ecef_mps: Vector) -> Errors:
     """Return errors of velocities against one truth or one per solution."""
-    if not solutions:
+    return _in_horizon([(s.velocity_ecef_mps, s.velocity_cov_ecef_m2ps2) for s in solutions], truth_ecef_mps, solutions)
+
+
+def _in_horizon(found: Sequence[tuple[Vector, Vector]], truth: Vector, solutions: Sequence[Solution]) -> Errors:
+    """Return errors of vectors with their covariances (ECEF), in the horizon of the first solution."""
+    if not found:
         return Errors(np.empty((0, 3)), np.empty((0, 3, 3)))
-    velocity, turn = np.array([s.velocity_ecef_mps for s in solutions]), enu_from_ecef_at(solutions[0].position_ecef_m)
-    return Errors((velocity - truth_ecef_mps) @ turn.T, turn @ np.array([s.velocity_cov_ecef_m2ps2 for s in solutions]) @ turn.T)
+    turn, (value, cov) = enu_from_ecef_at(solutions[0].position_ecef_m), map(np.array, zip(*found, strict=True))
+    return Errors((value - truth) @ turn.T, turn @ cov @ turn.T)
 
 
 def figures(found: Errors) -> Row:

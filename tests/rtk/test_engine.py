@@ -3,14 +3,12 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rtkmesh.codecs.rinex_navigation import read_navigation
-from rtkmesh.codecs.rinex_observation import ObservationReader
 from rtkmesh.gnss.epoch import COLUMNS, make_epoch
 from rtkmesh.gnss.signals import satellite_number
 from rtkmesh.gnss.time import GpsTime
@@ -23,17 +21,6 @@ pytestmark = pytest.mark.data
 BASE = np.array((-3959400.631, 3385704.533, 3667523.111))
 TRUTH = np.array((-3962108.673, 3381309.574, 3668678.638))
 OPTIONS = RtkOptions(systems="GEJ", frequencies=2)
-EPOCHS = 12
-
-
-def load(folder: Path):
-    rover, base = (list(ObservationReader((folder / name).read_bytes()))[:EPOCHS] for name in ("SEPT078M1.21O", "3034078M1.21O"))
-    return rover, base, read_navigation((folder / "SEPT078M.21P").read_bytes()).ephemerides
-
-
-@pytest.fixture(scope="module")
-def recording(data):
-    return load(data / "kanagawa_2021_078_60s")
 
 
 def table_of(ephemerides):
@@ -85,7 +72,7 @@ def test_what_the_filter_knows_beside_the_integers(recording):
     known = np.isfinite(table.ambiguity_cyc)
     assert (table.ambiguity_variance_cyc2[known] > 0.0).all()
     assert np.isnan(table.ambiguity_variance_cyc2[~known]).all()
-    assert table.lock_epochs.max() >= EPOCHS - 1
+    assert table.lock_epochs.max() >= len(recording[0]) - 1
     assert not table.rejects[table.state & USED_PHASE != 0].any()
     assert last.clocks_s[0] == pytest.approx(last.receiver_clock_s)
     assert np.isfinite(last.clocks_s).tolist() == [True, False, True, False, True, True, False]
@@ -134,6 +121,24 @@ def test_a_week_later_everything_is_the_same(recording):
     ]
     solutions, _ = run([edit(e, time=later(e.time)) for e in rover], [edit(e, time=later(e.time)) for e in base], moved)
     assert positions(solutions) == pytest.approx(positions(run(*recording)[0]), abs=2e-4)
+
+
+def test_later_epochs_leave_a_solution_as_it_is(recording):
+    """Its vectors are read when they are asked for; none is a window on the filter."""
+    rover, base, ephemerides = recording
+    engine, table, before = Rtk(OPTIONS), table_of(ephemerides), []
+    solutions = []
+    for r, b in zip(rover, base, strict=True):
+        solutions.append(engine.step(r, b, table, base_position_ecef_m=BASE))
+        before.append([part.copy() for part in vectors_of(solutions[-1])])
+    for solution, then in zip(solutions, before, strict=True):
+        assert all(np.array_equal(now, old, equal_nan=True) for now, old in zip(vectors_of(solution), then, strict=True))
+
+
+def vectors_of(solution):
+    state = solution.float_state
+    floats = state.position_ecef_m, state.velocity_ecef_mps, state.acceleration_ecef_mps2, state.ionosphere_m, solution.satellites.packed
+    return [value for field in fields(solution) if isinstance(value := getattr(solution, field.name), np.ndarray)] + list(floats)
 
 
 def test_slips_are_survived(recording):
@@ -233,7 +238,7 @@ def test_another_position_of_the_base_moves_the_rover_along(recording):
 def test_a_base_that_stands_still_in_time(recording):
     """With base epochs up to ten seconds old the fix holds and the age is told."""
     rover, base, ephemerides = recording
-    solutions, _ = run(rover, [base[0], base[1], *[base[1]] * (EPOCHS - 2)], ephemerides)
+    solutions, _ = run(rover, [base[0], base[1], *[base[1]] * (len(rover) - 2)], ephemerides)
     assert solutions[-1].age_s == pytest.approx(10.0)
     assert solutions[-1].status is Status.FIX
     assert np.abs(positions(solutions) - TRUTH).max() < 0.08
@@ -288,7 +293,8 @@ def test_the_same_code_without_compilation(recording, data):
 import sys, numpy as np, pathlib
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import test_engine as t
-rover, base, ephemerides = t.load(pathlib.Path({str(data / "kanagawa_2021_078_60s")!r}))
+from conftest import load
+rover, base, ephemerides = load(pathlib.Path({str(data / "kanagawa_2021_078_60s")!r}))
 options = t.replace(t.OPTIONS, systems="G", frequencies=1)
 print(repr(t.positions(t.run(rover[:3], base[:3], ephemerides, options)[0]).tolist()))
 """

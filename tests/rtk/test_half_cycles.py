@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.rtk.test_engine import TRUTH, recording, run  # noqa: F401  a fixture
+from tests.rtk.test_engine import TRUTH, run
 
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch
 from rtkmesh.gnss.signals import satellite_number
@@ -32,7 +32,7 @@ def satellites_of(epoch: Epoch) -> list[str]:
 
 
 @pytest.mark.parametrize("end", ["rover", "base"])
-def test_open_half_cycles_are_as_no_phases(recording, end):  # noqa: F811
+def test_open_half_cycles_are_as_no_phases(recording, end):
     """Half of the satellites half a cycle off, and said to be open: bit by bit the solutions of a receiver that has no phase of them."""
     rover, base, ephemerides = recording
     names = satellites_of(rover[0])
@@ -52,7 +52,7 @@ def test_open_half_cycles_are_as_no_phases(recording, end):  # noqa: F811
     assert (table.state[which] & USED_CODE).any()
 
 
-def test_without_the_flag_they_would_count(recording):  # noqa: F811
+def test_without_the_flag_they_would_count(recording):
     """The same phases, said to be whole: what the test above leaves out matters."""
     rover, base, ephemerides = recording
     names = satellites_of(rover[0])
@@ -62,7 +62,7 @@ def test_without_the_flag_they_would_count(recording):  # noqa: F811
     assert any(not np.array_equal(a.position_ecef_m, b.position_ecef_m) for a, b in zip(solved, expected, strict=True))
 
 
-def test_resolved_half_cycles_join(recording):  # noqa: F811
+def test_resolved_half_cycles_join(recording):
     """Resolved, and half a cycle moved by that (which receivers tell as a slip): the phases are used, the fix stays right."""
     rover, base, ephemerides = recording
     names = satellites_of(rover[0])

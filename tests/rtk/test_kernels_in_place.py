@@ -8,16 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from numba.core.runtime.nrt import rtsys
+from tests.rtk.test_engine import run
 
 import rtkmesh
-from rtkmesh.codecs.rinex_navigation import read_navigation
-from rtkmesh.codecs.rinex_observation import ObservationReader
-from rtkmesh.models.ephemeris_table import EphemerisTable
-from rtkmesh.rtk.engine import Rtk
-from rtkmesh.rtk.options import RtkOptions
 
 ENGINE = Path(rtkmesh.__file__).parent
 NUMBERS = {"None", "bool", "int", "float"}
@@ -53,18 +48,11 @@ def test_no_array_comes_back_to_a_kernel_that_would_not_free_it():
 
 @pytest.mark.data
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="without compilation Python counts")
-def test_epochs_leave_no_arrays_behind(data: Path):
+def test_epochs_leave_no_arrays_behind(recording: Any):
     """The same epochs a second time, by an engine that begins anew: as many arrays are freed as were made."""
-    folder = data / "kanagawa_2021_078_60s"
-    rover, base = (list(ObservationReader((folder / name).read_bytes()))[:12] for name in ("SEPT078M1.21O", "3034078M1.21O"))
-    table = EphemerisTable()
-    for ephemeris in read_navigation((folder / "SEPT078M.21P").read_bytes()).ephemerides:
-        table.add(ephemeris)
 
     def solve() -> None:
-        engine = Rtk(RtkOptions(systems="GREJ", frequencies=2))
-        place = np.array((-3959400.631, 3385704.533, 3667523.111))
-        assert all(engine.step(r, b, table, base_position_ecef_m=place).ambiguities for r, b in zip(rover, base, strict=True))
+        assert all(solution.ambiguities for solution in run(*recording)[0])
 
     def kept() -> int:
         gc.collect()

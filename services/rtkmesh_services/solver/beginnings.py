@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.frames import enu_from_ecef_at
+from rtkmesh.rtk.options import SlipOptions
 from rtkmesh.rtk.solution import Solution, Status
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# No ambiguity outlives a longer gap (``SlipOptions.maximum_gap_s``): that a filter begins anew behind one is no fault.
-GAP_S: Final = 20.0
+GAP_S: Final = SlipOptions().maximum_gap_s  # no ambiguity outlives a longer one: that a filter begins anew behind it is no fault
 _RELATIVE: Final = (Status.FIX, Status.FLOAT, Status.DGPS)
 
 
