@@ -53,6 +53,33 @@ def test_the_jump_is_what_the_motion_does_not_explain() -> None:
     assert watch.solved(solution(3.0, resets=1), moving_base=False) is None, "it is told once"
 
 
+@pytest.mark.parametrize(
+    ("old", "off_m", "after_s", "alarming"),
+    [
+        (Status.FLOAT, 0.015, 2.0, False),
+        (Status.FLOAT, 0.5, 2.0, True),
+        (Status.FLOAT, 0.5, 21.0, False),
+        (Status.FIX, 0.0, 2.0, True),
+        (Status.FIX, 0.5, 20.0, True),
+    ],
+)
+def test_it_alarms_where_nothing_explains_it(old: Status, off_m: float, after_s: float, alarming: bool) -> None:
+    """A float may jump by four of its sigmas (4.7 mm), and a long gap explains all; a fix that is given up never goes unnoticed."""
+    watch = Beginnings()
+    watch.solved(solution(0.0, status=old), moving_base=False)
+    begun = watch.solved(solution(after_s, jumped_enu_m=np.array([off_m, 0.0, 0.0]), resets=1), moving_base=False)
+    assert begun is not None
+    assert begun.is_alarming is alarming
+
+
+def test_what_is_not_known_alarms() -> None:
+    watch = Beginnings()
+    watch.solved(solution(0.0, status=Status.FLOAT), moving_base=True)
+    begun = watch.solved(solution(1.0, baseline_ecef_m=np.full(3, np.nan), status=Status.SINGLE, resets=1), moving_base=True)
+    assert begun is not None
+    assert begun.is_alarming
+
+
 def test_of_a_moving_base_it_is_the_baseline() -> None:
     watch = Beginnings()
     watch.solved(solution(0.0), moving_base=True)

@@ -369,7 +369,7 @@ class Rtk:
         clear = ACCEPT_AT_ONCE * (1.0 + min(state.baseline_m / DOUBLED_M, 1.0))
         if solved.status != SOLVED or not solved.figures[IS_FIXED] or solved.figures[ODDS] < clear:
             return None
-        self._state = begun
+        self._state, self._resets = begun, self._resets + 1
         self._past.memory[:], self._past.prediction[:] = past.memory, past.prediction
         return solved
 

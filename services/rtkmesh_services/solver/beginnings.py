@@ -14,7 +14,8 @@ from rtkmesh.rtk.solution import Solution, Status
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-GAP_S: Final = SlipOptions().maximum_gap_s  # no ambiguity outlives a longer one: that a filter begins anew behind it is no fault
+_GAP_S: Final = SlipOptions().maximum_gap_s  # no ambiguity outlives a longer one: that a filter begins anew behind it is no fault
+_EXPLAINED_SIGMAS: Final = 4.0  # a float that is left for a fix jumps by what its own sigmas allow
 _RELATIVE: Final = (Status.FIX, Status.FLOAT, Status.DGPS)
 
 
@@ -38,6 +39,12 @@ class Beginning:
         east, north, up = self.enu_m.tolist()
         how = f"the position jumps by {east:+.3f} E {north:+.3f} N {up:+.3f} U m"
         return f"the filter began anew: {how} ({self.old.name}, then {self.new.name} after {self.gap_s:.1f} s)"
+
+    @property
+    def is_alarming(self) -> bool:
+        """Whether it is more than what a long gap, or a float that gives way to a clear fix within its sigmas, explains."""
+        explained = self.old is not Status.FIX and bool((np.abs(self.enu_m) <= _EXPLAINED_SIGMAS * self.sigma_enu_m).all())
+        return self.gap_s <= _GAP_S and not explained
 
     @property
     def data(self) -> dict[str, Any]:

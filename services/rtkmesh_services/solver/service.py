@@ -29,7 +29,7 @@ from rtkmesh_services.runtime.service import Context, Report, Service
 from rtkmesh_services.runtime.statistics import RollingQuantiles
 from rtkmesh_services.solver.bases import OPERATIONS as BASE_OPERATIONS
 from rtkmesh_services.solver.bases import BaseChanger, Subscriptions, Wiring, ingest_of
-from rtkmesh_services.solver.beginnings import GAP_S, Beginnings
+from rtkmesh_services.solver.beginnings import Beginnings
 from rtkmesh_services.solver.broadcast import Broadcast
 from rtkmesh_services.solver.followers import Followers
 from rtkmesh_services.solver.formats import TextPublisher
@@ -249,7 +249,7 @@ class SolverService(Service):
         """Announce that the filter began anew by itself, with what that did to the position."""
         begun = self._beginnings.solved(solution, moving_base=self.settings.active.mode == "moving-base")
         if begun is not None:
-            self.context.event(Level.WARNING if begun.gap_s <= GAP_S else Level.INFO, "filter_reset", begun.text, **begun.data)
+            self.context.event(Level.WARNING if begun.is_alarming else Level.INFO, "filter_reset", begun.text, **begun.data)
 
     def _publish(self, solution: Solution, solve_ms: float, received: int, now_ns: int) -> None:
         context = self.context
