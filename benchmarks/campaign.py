@@ -47,8 +47,8 @@ Row = dict[str, Any]
 
 RATES = (1.0, 0.3, 0.1, 0.01, 1e-3, 1e-4)
 RATE_COLUMNS = ("failure_rate", "fix %", "wrong fixes", "wrong share (95 %)", "runs with wrong")
-RUNS = 1320
-QUICK_RUNS = 132
+RUNS = 1380
+QUICK_RUNS = 138
 COLUMNS = (
     "family", "runs", "epochs", "fix %", "right %", "wrong fixes", "wrong % of fixes (95 %)", "runs with wrong", "% of runs (95 %)",
     "longest wrong s", "first right fix s", "NEES fix", "NEES float",

@@ -239,6 +239,7 @@ FAMILIES: Final = (
     Family("code_step", "one satellite's codes 30 m off", _with_bad_codes(_bad_codes(1, 30.0, 30.0))),
     Family("code_ramp", "one satellite's codes drift", _with_bad_codes(_bad_codes(1, 0.0, 0.0, 0.1, 2.0))),
     Family("two_bad", "two satellites' codes off at once", _with_bad_codes(_bad_codes(2, 5.0, 40.0))),
+    Family("km7", "7 km", _far(7e3)),
     Family("km10", "10 km", _far(10e3)),
     Family("km35", "35 km", _far(35e3)),
     Family("moving_base", "two antennas on a vehicle", _moving_base),

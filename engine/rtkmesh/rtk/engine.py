@@ -22,6 +22,7 @@ from rtkmesh.models.antenna import NO_PATTERNS, Antenna, join_patterns
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.models.single import Located, PointSetup, SinglePointOptions, locate_epoch, point_setup
 from rtkmesh.models.single_adjustment import CONVERGED
+from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.around import Around, Past, at_instant_of
 from rtkmesh.rtk.asked_odds import DOUBLED_M
 from rtkmesh.rtk.bookkeeping import Motion, seed
@@ -29,7 +30,6 @@ from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.crossing import plain
-from rtkmesh.rtk.informed import INFORMED_FROM_M
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
@@ -356,7 +356,7 @@ class Rtk:
     def _may_begin_anew(self, state: FilterState, single: Located) -> bool:
         """Return whether an epoch without a fix is also looked at without its past: where the filter has one, and one epoch may resolve."""
         remembers = self.options.ambiguity.mode in _REMEMBERING and state.time_s > 0.0
-        return remembers and single.status == CONVERGED and self.options.mode in _ANEW and state.baseline_m < INFORMED_FROM_M
+        return remembers and single.status == CONVERGED and self.options.mode in _ANEW and state.baseline_m < FAR_M
 
     def _anew(self, state: FilterState, around: Around) -> Solved | None:
         """Solve an epoch without its past, and go on from there if its own codes and phases say clearly where it is; else None.

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
-from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.ambiguity import Candidates, Search, held_differences, pairs_of, take, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
@@ -28,7 +27,6 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-INFORMED_FROM_M: Final = FAR_M  # nearer, what the atmosphere leaves is below the phases' multipath
 NORM_LIMIT: Final = 3.0  # squared norm per integer that is told
 # What an atmosphere may differ by over a baseline, as strain 1: the zenith delay; the slant ionospheres of satellites with held integers,
 # per metre of length and at the base. Right integers ask for 0.3 ppm on nl_35km (90 %: 0.6) and for up to 1.5 on an active day. The limit
@@ -90,16 +88,16 @@ def settle(
     held, time_s = pairs_of(take(candidates, is_held(witness, candidates))), motion.times_s[0]
     if len(held) < 4:
         memory[INFORMED] = 0.0
-        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level), _nothing(informed), 0.0)
+        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level, False), _nothing(informed), 0.0)
     if len(informed.keys) == 0 or memory[HELD_SINCE_S] == time_s:
         informed, memory[INFORMED] = begin_informed(witness), 0.0
     norm, told = norm_of(witness, held, held_differences(witness, held)), inform(informed, witness, d, motion, use)
     if len(told.held) < 4:
-        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level), told.filter, norm)
+        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level, False), told.filter, norm)
     memory[INFORMED] = memory[INFORMED] + 1.0 if told.strain <= STRAIN_SURE else 0.0
     if told.strain > 1.0:
         note(witness, True, memory, prediction)
-    return Settled(fix(told.filter, told.candidates, free, memory, setup, prediction, time_s, level), told.filter, norm)
+    return Settled(fix(told.filter, told.candidates, free, memory, setup, prediction, time_s, level, False), told.filter, norm)
 
 
 @kernel

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.models.odds import SURENESS
+from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.asked_odds import SURVEY_CODES
-from rtkmesh.rtk.informed import INFORMED_FROM_M
 from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.memory import CONFIRMED, HELD_SINCE_S, INFORMED, UNAGREED
 from rtkmesh.rtk.noise import code_factors, phase_factor
@@ -49,7 +49,6 @@ FALSE_ALARM_SIGMAS: Final = 3.72  # tests fail sound epochs with 1e-4
 SURENESS_SURVEY: Final = 1.0
 SURENESS_ATMOSPHERE: Final = 3.0
 SURENESS_FAR: Final = 2.0
-FAR_M: Final = INFORMED_FROM_M
 # With no odds at all, at the base and from FAR_M on: what is held has been believed for some reason. Near by so is what no free search gave
 # for UNAGREED_EPOCHS; beyond, WRONG_UNAGREED.
 WRONG_NEAR: Final = 0.08
@@ -208,8 +207,9 @@ def guard(
         residual_test = larger(test_of(update.phase_chi2, update.phase_dof), test_of(by_codes.chi2, float(by_codes.dof)))
         return Guard(1.0, levels[0], levels[1], residual_test, np.nan, test_against(floating, by_codes))
     fixed = place_in(turn, resolution.x, resolution.P, modelled_m)
-    phases = phase_ranges(f, d, layout, update.phase_used, phase_factor(scale), turn)
-    by_phases, length_m = solve_epoch(phases), sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2)
+    length_m = sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2)
+    phases = phase_ranges(f, d, layout, update.phase_used, phase_factor(scale), turn, length_m > FAR_M)
+    by_phases = solve_epoch(phases)
     satellites, systems = held_satellites(f, d, layout)
     wrong = wrong_probability(resolution.odds, memory[UNAGREED], satellites - systems, length_m, level)
     float_test = np.nan

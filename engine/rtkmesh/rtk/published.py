@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
+from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.asked_odds import is_reflected
 from rtkmesh.rtk.noise import PHASE, phase_factor
 from rtkmesh.rtk.residuals import Differences
@@ -74,13 +75,14 @@ def fix_covariance(
     """
     geodetic, filters = geodetic_from_ecef(base_ecef_m + modelled_m), phase_factor(scale)
     turn = enu_from_ecef(geodetic[0], geodetic[1])
-    epoch = solve_epoch(phase_ranges(f, d, layout, update.phase_used, 1.0, turn))
+    length_m = sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2)
+    epoch = solve_epoch(phase_ranges(f, d, layout, update.phase_used, 1.0, turn, length_m > FAR_M))
     if sure and epoch.dof > 0:
         learn_fix(scale, epoch.chi2, float(epoch.dof))
     own = _turned(P, turn, 1.0 / filters)
     tells = epoch.solved and _is_sound(epoch.cov, own[0, 0] + own[1, 1] + own[2, 2])
     enu = fix_of_both(own, epoch, _mean_inflation(layout, update)) if tells else own
-    factor, length_m = fix_factor(scale), sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2)
+    factor = fix_factor(scale)
     enu *= factor
     enu[0, 0] += (SMOOTH_HORIZONTAL * length_m) ** 2
     enu[1, 1] += (SMOOTH_HORIZONTAL * length_m) ** 2

@@ -10,14 +10,15 @@ from rtkmesh._jit import kernel
 from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
-from rtkmesh.rtk.acceptance import SURE
+from rtkmesh.rtk.acceptance import FAR_M, SURE
 from rtkmesh.rtk.agreement import note_fix, note_proof
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
+from rtkmesh.rtk.calm import is_atmospheric
 from rtkmesh.rtk.code_arcs import since_seen
 from rtkmesh.rtk.code_errors import float_factor
-from rtkmesh.rtk.informed import INFORMED_FROM_M, Motion, Settled, Use, begin_informed, settle
+from rtkmesh.rtk.informed import Motion, Settled, Use, begin_informed, settle
 from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE, SLOPE_SIGMA, ResolveSetup
@@ -101,11 +102,13 @@ class Known(NamedTuple):
 
 
 class Look(NamedTuple):
-    """How integers are looked for: with the informed filter (``far``), at this length of the baseline, with phases whose variance is this
+    """How integers are looked for: with the informed filter (``far``), or with the atmosphere as a state of the witness that the place of a
+    fix has nothing of (``calm``), at this length of the baseline, with phases whose variance is this
     factor of the filter's (``sharper``, 1: the same), and codes of this variance factor (``level``, infinite: not known).
     """
 
     far: bool
+    calm: bool
     length_m: float
     sharper: float
     level: float
@@ -127,10 +130,10 @@ class Solved(NamedTuple):
 
 
 @kernel
-def conditions(setup: Setup, length_m: float, age_s: float, base_s: float) -> Conditions:
-    """Return what decides variances for a base epoch of this age and a baseline of this length."""
+def conditions(setup: Setup, length_m: float, atmospheric: bool, age_s: float, base_s: float) -> Conditions:
+    """Return what decides variances for a base epoch of this age and a baseline of this length; ``atmospheric``: ionospheres are states."""
     common = (CLOCK_DRIFT_MPS * age_s) ** 2 + (setup.ephemeris_m_per_m * length_m) ** 2
-    if length_m < INFORMED_FROM_M:
+    if not atmospheric:
         common += (IONOSPHERE_PPM * length_m) ** 2
     return Conditions(np.array((setup.phase_a_m, setup.phase_b_m, setup.code_ratio, common)), setup.mask_rad, base_s, setup.antennas)
 
@@ -169,12 +172,13 @@ def differences_of(
 ) -> Differences:  # fmt: skip
     """Return the single differences of the signals that both epochs have; the first two of ``times_s`` are theirs."""
     length_m = sqrt(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2)
-    given = conditions(setup, length_m, times_s[0] - times_s[1], times_s[1])
+    pairs = match(rover, base, setup.rules)
+    given = conditions(setup, length_m, is_atmospheric(length_m, pairs.satellite), times_s[0] - times_s[1], times_s[1])
     rover_ecef_m = base_ecef_m + f.x[:3]
     if length_m > TIDE_BASELINE_M:
         tide_m = solid_tides(rover.week, rover.tow_s, rover_ecef_m, base_ecef_m)
         rover_ecef_m, base_ecef_m = rover_ecef_m + tide_m[0], base_ecef_m + tide_m[1]
-    return observe(rover, base, match(rover, base, setup.rules), located, channel, klobuchar, rover_ecef_m, base_ecef_m, given)
+    return observe(rover, base, pairs, located, channel, klobuchar, rover_ecef_m, base_ecef_m, given)
 
 
 @kernel
@@ -184,7 +188,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if distinct(d.pairs.satellite, np.isfinite(d.table[:, CODE])) < 4:
         return Solved(FEW_COMMON, before, informed, before.x, before.P, figures, np.zeros((0, 0)), before.P)
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
-    atmosphere, walks = 2 if length_m > INFORMED_FROM_M else 0, walks_of(setup, length_m, known.memory)
+    atmospheric = is_atmospheric(length_m, d.pairs.satellite)
+    atmosphere, walks = 2 if atmospheric else 0, walks_of(setup, length_m, known.memory)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
     since_s = since_seen(known.codes_s, d.pairs, np.isfinite(d.table[:, CODE]), time_s)
     arranged = lay_out(before, d, since_s, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
@@ -196,7 +201,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     remember(f, d, layout, outcome.phase_used, time_s)
     modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
     float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, step_s, model_ecef_m, modelled_m)
-    far = length_m > INFORMED_FROM_M and not setup.slip.base_moves
+    far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
     level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
@@ -204,7 +209,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if setup.resolving:
         candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
-        settled = _find_integers(f, informed, d, candidates, known, setup, Look(far, length_m, sharper, level), motion)
+        look = Look(far, atmospheric and not far, length_m, sharper, level)
+        settled = _find_integers(f, informed, d, candidates, known, setup, look, motion)
         resolution, informed = settled.resolution, settled.informed
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
         if sure:
@@ -251,7 +257,7 @@ def _find_integers(
         return settled
     note_agreement(known.memory, confirmed, time_s)
     note_proof(known.memory, confirmed, free.odds, time_s)
-    resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level)
+    resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level, look.calm)
     note_fix(known.memory, resolution.fixed, time_s)
     norm = held_norm(f, candidates) if look.sharper < 1.0 else resolution.norm
     if len(informed.keys) > 0:  # the rover has come near

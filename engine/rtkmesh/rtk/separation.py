@@ -65,10 +65,13 @@ def code_ranges(d: Differences, used: NDArray[np.bool_], factors: Vector, turn: 
 
 
 @kernel
-def phase_ranges(f: Filter, d: Differences, layout: Layout, used: NDArray[np.bool_], factor: float, turn: Matrix) -> Ranges:
+def phase_ranges(
+    f: Filter, d: Differences, layout: Layout, used: NDArray[np.bool_], factor: float, turn: Matrix, far: bool
+) -> Ranges:  # fmt: skip
     """Return the phases whose integers are held; ``factor`` is that of phase variances.
 
-    GLONASS phases are left out: their slope is the filter's. Where the ionosphere is a state, two bands are combined to be free of it.
+    GLONASS phases are left out: their slope is the filter's. Where ionospheres are states of what places the rover (``far``), two bands
+    are combined to be free of them.
     """
     out = _empty_ranges(d, turn)
     for k in range(len(out.weight)):
@@ -76,7 +79,7 @@ def phase_ranges(f: Filter, d: Differences, layout: Layout, used: NDArray[np.boo
         integer = f.history[place, INTEGER] if place >= 0 else np.nan
         usable = used[k] and d.table[k, CHANNEL] == 0.0
         _put(out, k, d.table[k, PHASE] - d.table[k, WAVELENGTH] * integer, d.table[k, PHASE_VARIANCE] * factor, usable)
-    if len(layout.ionosphere) > 0 and layout.ionosphere.max() >= 0:
+    if far and len(layout.ionosphere) > 0 and layout.ionosphere.max() >= 0:
         _combine_bands(out, d)
     _take_clocks(out)
     return out

@@ -27,6 +27,7 @@ from rtkmesh.rtk.ambiguity import (
     tell,
 )
 from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
+from rtkmesh.rtk.calm import calmed
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -248,16 +249,21 @@ def note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
 @kernel
 def fix(
     f: Filter, candidates: Candidates, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float,
-    level: float,
+    level: float, calm: bool,
 ) -> Resolution:  # fmt: skip
-    """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``)."""
+    """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``), ``calm``: the
+    place is that of an atmosphere which is the same at both ends.
+    """
     pairs, x, P = pairs_of(take(candidates, is_held(f, candidates))), np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
     count, grade, sigma_m, norm = len(pairs), 0, np.nan, 0.0
     if count < _least_count(setup):
         reason = FEW_AMBIGUITIES if len(free.pairs) < setup.minimum_ambiguities else NOT_SURE
     else:
         integers = held_differences(f, pairs)
-        norm = condition(f.x, f.P, pairs, integers, 0.0, np.arange(DYNAMIC), x, P)
+        placing = calmed(f) if calm else f
+        norm = condition(placing.x, placing.P, pairs, integers, 0.0, np.arange(DYNAMIC), x, P)
+        if calm:
+            norm = norm_of(f, pairs, integers)
         sigma_m = _sigma_m(P)
         away = departure(x, P, prediction) if isfinite(prediction[3]) else 0.0
         if sigma_m > WEAK_M and is_street(level) and isfinite(prediction[3]) and not _is_far(f):
