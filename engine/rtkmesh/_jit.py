@@ -9,26 +9,26 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from rtkmesh._borrowing import BorrowingCompiler
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _Compile = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 _njit: Callable[..., _Compile] = cast("Any", numba.njit)  # its stub does not know ``_nrt``
-_compile = _njit(cache=True, nogil=True, error_model="numpy", _nrt=True)
+_compile = _njit(cache=True, nogil=True, error_model="numpy", _nrt=True, pipeline_class=BorrowingCompiler)
 _compile_in_place = _njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 
 
 def kernel(function: F) -> F:
-    """Compile ``function`` with numba: cached on disk, without the GIL, IEEE division."""
+    """Compile ``function`` with numba: cached on disk, without the GIL, IEEE division; arrays that it is given are borrowed."""
     return cast("F", _compile(function))
 
 
 def kernel_in_place(function: F) -> F:
-    """Compile a kernel that makes no array, returns none, and calls no kernel that returns one: with what it is given it does not count
-    references.
+    """Compile a kernel that makes no array, returns none, and calls no kernel that returns one: with what it is given it does
+    not count references.
 
-    Numba counts, with atomic instructions, whenever a name is given to an array, a part of one or a field of a named tuple: a fifth of the
-    time of an epoch of one band. What makes an array in here does not compile; what is returned to here would never be freed
-    (``tests/rtk/test_kernels_in_place.py``).
+    What makes an array in here does not compile; what is returned to here would never be freed (``tests/rtk/test_kernels_in_place.py``).
     """
     return cast("F", _compile_in_place(function))
