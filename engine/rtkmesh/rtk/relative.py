@@ -25,6 +25,7 @@ from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, l
 from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
+from rtkmesh.rtk.separation import codes_alone
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
@@ -195,7 +196,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
     remember(f, d, layout, outcome.phase_used, time_s)
     modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
-    float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, step_s, model_ecef_m, modelled_m)
+    codes = codes_alone(d, outcome.code_used, known.scale, model_ecef_m)
+    float_scale = float_factor(f, d, layout, codes, known.scale, setup.ambiguity_walk_cyc, step_s, modelled_m)
     far = length_m > INFORMED_FROM_M and not setup.slip.base_moves
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
@@ -217,10 +219,10 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
         if is_vague(published, level, held_satellites(f, d, layout)[0]):
             resolution = withheld(resolution, TOO_UNCERTAIN)
-    guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, level, known.base_ecef_m, modelled_m)
+    guarded = guard(f, d, layout, outcome, codes, resolution, known.scale, known.memory, setup.integrity, level, modelled_m)
     if resolution.fixed and guarded.wrong > setup.failure_rate:
         resolution = withheld(resolution, TOO_RISKY)
-        guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, level, known.base_ecef_m, modelled_m)
+        guarded = guard(f, d, layout, outcome, codes, resolution, known.scale, known.memory, setup.integrity, level, modelled_m)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     describe_guard(guarded, resolution.odds, figures)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch_flags
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SIGNALS_PER_SATELLITE
 from rtkmesh.models.code_selection import USED
@@ -227,10 +227,10 @@ def describe_guard(guarded: Guard, odds: float, out: Vector) -> None:
     out[RESIDUAL_TEST], out[FLOAT_TEST], out[CODE_TEST] = guarded.residual_test, guarded.float_test, guarded.code_test
 
 
-@kernel
+@kernel_in_place
 def describe_fit(d: Differences, layout: Layout, update: Update, out: Vector) -> None:
     """Write the counts and root mean squares of an update."""
-    used = np.empty(len(layout.ambiguity), np.bool_)
+    used = scratch_flags(len(layout.ambiguity))
     for k in range(len(used)):
         out[AMBIGUITIES] += 1.0 if layout.ambiguity[k] >= 0 else 0.0
         used[k] = update.code_used[k] or update.phase_used[k]
