@@ -52,7 +52,7 @@ _DOPPLER_SIGMA_MPS: Final = 0.3  # of that mean: Doppler noise of patch antennas
 _STEP_SIGMA_M: Final = 0.05  # of the motion in a step by Dopplers, beside their own sigma
 _JERK_SHARE: Final = 0.25  # part of a change of velocity by which the mean of two can be wrong
 
-SOLVED, FEW_COMMON, NOT_FINITE = range(3)
+SOLVED, FEW_COMMON, NOT_FINITE, UNCLEAR = range(4)
 
 
 class Setup(NamedTuple):
@@ -86,7 +86,8 @@ class Known(NamedTuple):
     ``times_s`` are now rover, now base, last rover, last base on the filter's clock; ``last_model_ecef_m`` is where the rover was taken to
     be in the last epoch; ``prediction`` where the last fix and the motion since put the baseline (m, ECEF), its sigma (m), and the last
     epoch's velocity; the velocity is the Doppler velocity relative to the base. What is not known is NaN. ``codes_s`` is when codes were
-    seen (``code_arcs``).
+    seen (``code_arcs``). ``least_odds`` are the log odds of integers without which nobody wants the solution; minus infinite: it is wanted
+    in any case.
     """
 
     times_s: Vector
@@ -99,6 +100,7 @@ class Known(NamedTuple):
     velocity_cov_m2ps2: Matrix
     informed_scale: Matrix
     codes_s: Matrix
+    least_odds: float
 
 
 class Look(NamedTuple):
@@ -113,8 +115,9 @@ class Look(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """What came of a pair of epochs: SOLVED, FEW_COMMON or NOT_FINITE; the filter and the informed one; dynamic states and their
-    covariance; the row of figures and the satellite table as ``report`` has them; the covariance of the position that is published.
+    """What came of a pair of epochs: SOLVED, FEW_COMMON, NOT_FINITE or UNCLEAR (no such integers as are wanted); the filter and the
+    informed one; dynamic states and their covariance; the row of figures and the satellite table as ``report`` has them; the covariance of
+    the position that is published.
     """
 
     status: int
@@ -209,6 +212,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         settled = _find_integers(f, informed, d, candidates, known, setup, Look(far, length_m, sharper, level), motion)
         resolution, informed = settled.resolution, settled.informed
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
+        if isfinite(known.least_odds) and (not resolution.fixed or resolution.odds < known.least_odds):
+            return Solved(UNCLEAR, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
         if sure:
             squares = (outcome.phase_chi2 + settled.norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
