@@ -30,6 +30,7 @@ from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.crossing import plain
 from rtkmesh.rtk.informed import INFORMED_FROM_M
+from rtkmesh.rtk.matching import census
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
@@ -198,10 +199,11 @@ class Rtk:
         reason = self._obstacle(rover, base, base_position_ecef_m)
         if reason is not None or base is None or base_position_ecef_m is None:
             return replace(self._alone(rover, base, single), reason=reason)
+        missing, *satellites = census(rover.satellite, base.satellite)
         bases = [base]
         if not self._base_moves:
-            bases = complemented(rover, base, self._bases.before(base) if earlier_bases is None else earlier_bases)
-        around = Around(rover, bases, issues, (single, base_single), base_position_ecef_m)
+            bases = complemented(base, missing, self._bases.before(base) if earlier_bases is None else earlier_bases)
+        around = Around(rover, bases, issues, (single, base_single), base_position_ecef_m, (satellites[0], satellites[1]))
         return self._doubted(self._relative(around))
 
     def _doubted(self, solution: Solution) -> Solution:
@@ -289,8 +291,10 @@ class Rtk:
             return replace(self._alone(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
         factors = self._rates[0].factor, self._rates[1].factor
-        circumstances = Circumstances(age_s, self._moves, self._sense, around.singles[1], factors, self._resets, self.options)
-        solution = report(rover, base, single, around.base_ecef_m, solved, circumstances)
+        circumstances = Circumstances(
+            age_s, self._moves, self._sense, around.singles[1], factors, around.satellites, self._resets, self.options
+        )
+        solution = report(rover, single, around.base_ecef_m, solved, circumstances)
         self._satellites = solution.satellites
         return solution
 

@@ -226,6 +226,17 @@ def count_runs(ordered: NDArray[np.int16]) -> int:
     return count
 
 
+@kernel_in_place
+def census(rover: NDArray[np.int16], base: NDArray[np.int16]) -> tuple[int, int, int]:
+    """Return the systems that satellites of the rover belong to and none of the base (a bit each), and how many satellites both have."""
+    missing = 0
+    for satellite in rover:
+        missing |= 1 << (int(satellite) // SATELLITES_PER_SYSTEM)
+    for satellite in base:
+        missing &= ~(1 << (int(satellite) // SATELLITES_PER_SYSTEM))
+    return missing, count_runs(rover), count_runs(base)
+
+
 @kernel
 def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int64]]:
     """Return the different values of a sorted array, where each begins, and per entry the number of its value."""

@@ -110,7 +110,8 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located, rate_factor: 
 
 class Circumstances(NamedTuple):
     """What is around a relative solution: ``base_single`` is the single point of a moving base, else None; ``rate_factors`` are of the
-    covariances of both receivers' velocities; ``sense`` is 1.0, or -1.0 where the filter's clock runs against GPS time.
+    covariances of both receivers' velocities; ``satellites`` are how many both have; ``sense`` is 1.0, or -1.0 where the filter's clock
+    runs against GPS time.
     """
 
     age_s: float
@@ -118,11 +119,12 @@ class Circumstances(NamedTuple):
     sense: float
     base_single: Located | None
     rate_factors: tuple[float, float]
+    satellites: tuple[int, int]
     resets: int
     options: RtkOptions
 
 
-def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> Solution:
+def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> Solution:
     """Return the relative solution: fixed where the resolution says so, else float, else differential code."""
     x, P, numbers = solved.x, solved.P, solved.figures.tolist()  # x and P are this epoch's alone: what is given of them are views
     base_ecef_m = base_ecef_m.copy()
@@ -154,8 +156,8 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
         ambiguities=int(numbers[AMBIGUITIES]),
         ambiguities_fixed=int(numbers[COUNT_FIXED]),
         satellites_used=int(numbers[SATELLITES_USED]),
-        satellites_rover=count_runs(rover.satellite),
-        satellites_base=count_runs(base.satellite),
+        satellites_rover=around.satellites[0],
+        satellites_base=around.satellites[1],
         code_rms_m=numbers[CODE_RMS_M],
         phase_rms_m=numbers[PHASE_RMS_M],
         nis_per_observation=numbers[NIS],
