@@ -15,7 +15,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
-from rtkmesh.rtk.solution import USED_PHASE, Reason, Status
+from rtkmesh.rtk.solution import USED_PHASE, Reason, Solution, Status
 
 pytestmark = pytest.mark.data
 BASE = np.array((-3959400.631, 3385704.533, 3667523.111))
@@ -57,6 +57,12 @@ def test_fixed_from_the_first_epoch(recording):
     assert last.baseline_ecef_m == pytest.approx(TRUTH - BASE, abs=0.03)
     assert len(last.satellites.satellite) > 20
     assert np.nanmax(np.abs(last.satellites.phase_residual_m)) < 0.05
+
+
+def test_a_solution_has_all_of_its_fields(recording):
+    """It is filled field by field."""
+    solutions, _ = run(*recording)
+    assert all(hasattr(solution, field.name) for solution in solutions[:3] for field in fields(Solution))
 
 
 def test_what_the_filter_knows_beside_the_integers(recording):

@@ -10,10 +10,10 @@ from rtkmesh.rtk.separation import (
     COLUMNS,
     RANGE,
     Ranges,
+    Rest,
     _take_clocks,
     horizontal_sigma,
     leave_out,
-    new_rest,
     normalised_square,
     solve_epoch,
 )
@@ -23,6 +23,11 @@ def ranges_of(directions: np.ndarray, value_m: np.ndarray, sigma_m: np.ndarray, 
     rows = np.ones((len(value_m), COLUMNS))
     rows[:, :3], rows[:, RANGE], rows[:, CLOCK] = -directions, value_m, 1.0
     return Ranges(rows, 1.0 / sigma_m**2, np.array(group, np.int64), np.array(satellite, np.int16), max(group) + 1)
+
+
+def new_rest() -> Rest:
+    """Room for what is left."""
+    return Rest(np.empty(3), np.empty((3, 3)), np.empty((CLOCK, CLOCK)), np.empty((COLUMNS, COLUMNS)))
 
 
 def sky(rng: np.random.Generator, satellites: int, bands: int = 1) -> np.ndarray:

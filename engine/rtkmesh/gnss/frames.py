@@ -5,7 +5,7 @@ from math import atan2, cos, hypot, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.constants import WGS84_A_M, WGS84_E2
 
 _A = WGS84_A_M
@@ -32,6 +32,14 @@ def geodetic_from_ecef(position_ecef_m: Vector) -> Vector:
 
     Fixed-point iteration on the geodetic latitude; converges to better than 1e-4 m for all points above -5000 km.
     """
+    out = np.empty(3)
+    write_geodetic(position_ecef_m, out)
+    return out
+
+
+@kernel_in_place
+def write_geodetic(position_ecef_m: Vector, out: Vector) -> None:
+    """Write what ``geodetic_from_ecef`` returns."""
     x, y, z = position_ecef_m[0], position_ecef_m[1], position_ecef_m[2]
     p2 = x * x + y * y
     zk, v = z, _A
@@ -42,7 +50,6 @@ def geodetic_from_ecef(position_ecef_m: Vector) -> Vector:
         zk = z + v * _E2 * sin_lat
         if abs(zk - last) < 1e-5:
             break
-    out = np.empty(3)
     if p2 > 1e-12:
         out[0] = atan2(zk, sqrt(p2))
         out[1] = atan2(y, x)
@@ -50,18 +57,23 @@ def geodetic_from_ecef(position_ecef_m: Vector) -> Vector:
         out[0] = np.pi / 2.0 if z > 0.0 else -np.pi / 2.0
         out[1] = 0.0
     out[2] = sqrt(p2 + zk * zk) - v
-    return out
 
 
 @kernel
 def enu_from_ecef(lat_rad: float, lon_rad: float) -> Matrix:
     """Return the rotation (3x3) that takes ECEF vectors to east, north, up at a geodetic latitude and longitude."""
-    sl, cl, so, co = sin(lat_rad), cos(lat_rad), sin(lon_rad), cos(lon_rad)
     out = np.empty((3, 3))
+    write_enu(lat_rad, lon_rad, out)
+    return out
+
+
+@kernel_in_place
+def write_enu(lat_rad: float, lon_rad: float, out: Matrix) -> None:
+    """Write what ``enu_from_ecef`` returns."""
+    sl, cl, so, co = sin(lat_rad), cos(lat_rad), sin(lon_rad), cos(lon_rad)
     out[0, 0], out[0, 1], out[0, 2] = -so, co, 0.0
     out[1, 0], out[1, 1], out[1, 2] = -sl * co, -sl * so, cl
     out[2, 0], out[2, 1], out[2, 2] = cl * co, cl * so, sl
-    return out
 
 
 def enu_from_ecef_at(origin_ecef_m: Vector) -> Matrix:

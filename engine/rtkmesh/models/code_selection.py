@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place, scratch
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, GLONASS, NO_CHANNEL, SATELLITES_PER_SYSTEM, carrier_hz
 from rtkmesh.models.ephemeris_table import CHANNEL
@@ -142,10 +142,11 @@ def _range_rate_mps(satellite: NDArray[np.int16], signal: NDArray[np.int16], cha
     return np.nan
 
 
-@kernel
+@kernel_in_place
 def clocks_by_system(work: Matrix, clocks_m: Vector, out: Vector) -> float:
     """Write the receiver clock (s) by system, NaN where no satellite was used; return that of the first system in use, GPS first."""
-    has_clock = np.zeros(CLOCKS)
+    has_clock = scratch(CLOCKS)
+    has_clock[:] = 0.0
     for i in range(work.shape[0]):
         if work[i, USED] != 0.0:
             has_clock[int(work[i, GROUP])] = 1.0

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place, scratch, scratch_table
 from rtkmesh.gnss.constants import OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
-from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh.gnss.frames import write_enu, write_geodetic
 from rtkmesh.models.atmosphere import TROPOSPHERE, ionosphere_l1_m, troposphere_at, troposphere_m
 from rtkmesh.models.orbit import STATE_OK, satellite_states
 
@@ -47,7 +47,7 @@ def receiver_model(
     return valid
 
 
-@kernel
+@kernel_in_place
 def receiver_geometry(states: Matrix, week: int, tow_s: float, receiver_ecef_m: Vector, klobuchar: Vector, geometry: Matrix) -> None:
     """Write the geometry (n, GEOMETRY) of satellite states (n, STATE) seen from a receiver position.
 
@@ -55,9 +55,9 @@ def receiver_geometry(states: Matrix, week: int, tow_s: float, receiver_ecef_m: 
     """
     radius = sqrt(receiver_ecef_m[0] ** 2 + receiver_ecef_m[1] ** 2 + receiver_ecef_m[2] ** 2)
     near_earth = _NEAR_EARTH_M[0] < radius < _NEAR_EARTH_M[1]
-    geodetic = geodetic_from_ecef(receiver_ecef_m)
-    turn = enu_from_ecef(geodetic[0], geodetic[1])
-    troposphere = np.empty(TROPOSPHERE)
+    geodetic, turn, troposphere = scratch(3), scratch_table(3, 3), scratch(TROPOSPHERE)
+    write_geodetic(receiver_ecef_m, geodetic)
+    write_enu(geodetic[0], geodetic[1], turn)
     troposphere_at(geodetic[0], geodetic[2], week, tow_s, troposphere)
     for i in range(states.shape[0]):
         for k in range(GEOMETRY):

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place, scratch, scratch_table
 from rtkmesh.gnss.constants import OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
 from rtkmesh.models.code_selection import (
     CLOCKS,
@@ -85,11 +85,11 @@ def adjust_position(work: Matrix, states: Matrix, geometry: Matrix, week: int, t
     return status
 
 
-@kernel
+@kernel_in_place
 def _converge(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow_s: float, klobuchar: Vector, setup: Vector, norm: float,
               position: Vector, clocks_m: Vector, cofactor: Matrix) -> int:  # fmt: skip
     """Iterate the adjustment of the used satellites to the least sum of residuals in this norm."""
-    modelled_at, step = np.empty(3), np.empty(UNKNOWNS)
+    modelled_at, step = scratch(3), scratch(UNKNOWNS)
     modelled_at[0] = np.inf
     for _ in range(_ITERATIONS if norm == LEAST_SQUARES else _ROBUST_ITERATIONS):
         moved = abs(position[0] - modelled_at[0]) + abs(position[1] - modelled_at[1]) + abs(position[2] - modelled_at[2])
@@ -143,10 +143,10 @@ def _residuals(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector, cl
         work[i, RESIDUAL] = work[i, CODE] - modelled
 
 
-@kernel
+@kernel_in_place
 def _centre_clocks(work: Matrix, clocks_m: Vector) -> None:
     """Move each clock, and the residuals of its satellites, to their median: the exact L1 solution at this position."""
-    sizes = np.empty(work.shape[0])
+    sizes = scratch(work.shape[0])
     for k in range(CLOCKS):
         count = 0
         for i in range(work.shape[0]):
@@ -172,10 +172,11 @@ def _weights(work: Matrix, norm: float) -> None:
         work[i, WEIGHT] = part / work[i, VARIANCE]
 
 
-@kernel
+@kernel_in_place
 def _solve(work: Matrix, geometry: Matrix, cofactor: Matrix, step: Vector) -> int:
     """Solve the normal equations; a clock without satellites gets a unit row and stays."""
-    normal, right = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
+    normal, right = scratch_table(UNKNOWNS, UNKNOWNS), scratch(UNKNOWNS)
+    normal[:, :], right[:] = 0.0, 0.0
     used = 0
     for i in range(work.shape[0]):
         if work[i, USED] == 0.0:
@@ -238,11 +239,11 @@ def _is_doubtful(work: Matrix, geometry: Matrix, cofactor: Matrix) -> bool:
     return largest > _LIMIT
 
 
-@kernel
+@kernel_in_place
 def _scaled_worst(work: Matrix, geometry: Matrix, cofactor: Matrix) -> int:
     """Return the used satellite with the largest normalised residual if that is beyond the limit, else -1."""
     count, worst = 0, -1
-    values = np.empty(work.shape[0])
+    values = scratch(work.shape[0])
     largest = 0.0
     for i in range(work.shape[0]):
         if work[i, USED] == 0.0:
@@ -275,7 +276,7 @@ def _median(values: Vector) -> float:
     return values[len(values) // 2]
 
 
-@kernel
+@kernel_in_place
 def _robust_start(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow_s: float, klobuchar: Vector, setup: Vector,
                   position: Vector, clocks_m: Vector, cofactor: Matrix) -> None:  # fmt: skip
     """Fit to the least sum of absolute residuals and put aside whatever lies far off it.
@@ -285,7 +286,7 @@ def _robust_start(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow
     """
     _converge(work, states, geometry, week, tow_s, klobuchar, setup, LEAST_ABSOLUTE, position, clocks_m, cofactor)
     count = 0
-    sizes = np.empty(work.shape[0])
+    sizes = scratch(work.shape[0])
     for i in range(work.shape[0]):
         if work[i, USED] != 0.0:
             sizes[count] = abs(work[i, RESIDUAL]) / sqrt(work[i, VARIANCE])
@@ -325,10 +326,11 @@ def _exclude(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow_s: f
     return NO_CONVERGENCE
 
 
-@kernel
+@kernel_in_place
 def _take_back(work: Matrix, states: Matrix, geometry: Matrix, mask_rad: float, cofactor: Matrix) -> int:
     """Use again what was put aside but fits the solution of the others; return how many."""
-    has_clock = np.zeros(CLOCKS)
+    has_clock = scratch(CLOCKS)
+    has_clock[:] = 0.0
     for i in range(work.shape[0]):
         if work[i, USED] != 0.0:
             has_clock[int(work[i, GROUP])] = 1.0
@@ -343,10 +345,11 @@ def _take_back(work: Matrix, states: Matrix, geometry: Matrix, mask_rad: float, 
     return count
 
 
-@kernel
+@kernel_in_place
 def _freedom(work: Matrix) -> int:
     """Return the degrees of freedom of the adjustment: satellites minus 3 minus receiver clocks."""
-    has_clock = np.zeros(CLOCKS)
+    has_clock = scratch(CLOCKS)
+    has_clock[:] = 0.0
     free = -3
     for i in range(work.shape[0]):
         if work[i, USED] != 0.0:
@@ -367,10 +370,10 @@ def _chi_square(work: Matrix) -> float:
     return total
 
 
-@kernel
+@kernel_in_place
 def _dilution(work: Matrix, geometry: Matrix) -> float:
     """Return the PDOP of the used satellites, with one clock per group; infinite if singular."""
-    cofactor, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    cofactor, step = scratch_table(UNKNOWNS, UNKNOWNS), scratch(UNKNOWNS)
     for i in range(work.shape[0]):
         work[i, WEIGHT] = 1.0
     status = _solve(work, geometry, cofactor, step)
@@ -445,10 +448,11 @@ def _rate_variance(geometry: Matrix, sigma_mps: float, i: int) -> float:
     return (0.5 * sigma_mps * (1.0 + 1.0 / max(sin(geometry[i, ELEVATION]), 0.05))) ** 2
 
 
-@kernel
+@kernel_in_place
 def _solve_rates(work: Matrix, geometry: Matrix, sigma_mps: float, cofactor: Matrix, velocity: Vector) -> int:
     """Add the solution of the range rates to ``velocity``; return how many were used, -1 if too few, -2 if singular."""
-    normal, right, h = np.zeros((4, 4)), np.zeros(4), np.ones(4)
+    normal, right, h = scratch_table(4, 4), scratch(4), scratch(4)
+    normal[:, :], right[:], h[3] = 0.0, 0.0, 1.0
     used = 0
     for i in range(work.shape[0]):
         if work[i, RATE_USED] == 0.0:
@@ -471,11 +475,12 @@ def _solve_rates(work: Matrix, geometry: Matrix, sigma_mps: float, cofactor: Mat
     return used
 
 
-@kernel
+@kernel_in_place
 def _worst_rate(work: Matrix, geometry: Matrix, sigma_mps: float, cofactor: Matrix) -> tuple[int, float, float]:
     """Return the satellite with the largest normalised range-rate residual if beyond the limit (else -1), that value, and chi-square."""
     count, worst, largest, chi2 = 0, -1, 0.0, 0.0
-    values, h = np.empty(work.shape[0]), np.ones(4)
+    values, h = scratch(work.shape[0]), scratch(4)
+    h[3] = 1.0
     for i in range(work.shape[0]):
         if work[i, RATE_USED] == 0.0:
             continue

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.filter import factor, posterior
@@ -99,14 +99,15 @@ def search(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: f
     return Search(pairs, fixed[0].copy(), values, norms[0], norms[1], success, odds, True)
 
 
-@kernel
+@kernel_in_place
 def search_of_length(f: Filter, pairs: Indices, length_m: float, sigma_m: float, fixed: Matrix, totals: Vector) -> tuple[int, float]:
     """Search the integers of a baseline of known length: as ``search_pairs``, with the misfit of the length in the squared norms.
 
     What was not looked at is taken to fit the length: the second total is no larger.
     """
     n = len(pairs)
-    a, Q, gain, mean, cov, norms = np.empty(n), np.empty((n, n)), np.zeros((3, n)), np.zeros(3), np.zeros((3, 3)), np.zeros(len(totals))
+    a, Q, gain, mean, cov = scratch(n), scratch_table(n, n), scratch_table(3, n), scratch(3), scratch_table(3, 3)
+    norms = scratch(len(totals))
     difference(f.x, f.P, pairs, a, Q)
     if not gain_of(f.x, f.P, pairs, gain, mean, cov):
         return NOT_POSITIVE_DEFINITE, 0.0
@@ -116,7 +117,7 @@ def search_of_length(f: Filter, pairs: Indices, length_m: float, sigma_m: float,
     return status, success
 
 
-@kernel
+@kernel_in_place
 def choose_references(states: Indices, groups: Indices, weight: Vector, out: Indices) -> int:
     """Pick in each group the state with the largest weight as reference; write per double difference (state, reference); return how many.
 
@@ -124,7 +125,11 @@ def choose_references(states: Indices, groups: Indices, weight: Vector, out: Ind
     """
     if len(states) == 0:
         return 0
-    best = np.full(groups.max() + 1, -1, np.int64)
+    largest = 0
+    for group in groups:
+        largest = max(largest, group)
+    best = scratch_indices(largest + 1)
+    best[:] = -1
     for k in range(len(states)):
         b = best[groups[k]]
         if b < 0 or weight[k] > weight[b] or (weight[k] == weight[b] and states[k] < states[b]):
@@ -150,20 +155,20 @@ def difference(x: Vector, P: Matrix, pairs: Indices, a: Vector, Q: Matrix) -> No
             Q[k, m], Q[m, k] = q, q
 
 
-@kernel
+@kernel_in_place
 def search_pairs(x: Vector, P: Matrix, pairs: Indices, node_limit: int, fixed: Matrix, norms: Vector) -> tuple[int, float]:
     """Search the integers of double differences; write the two best (2 x n) and their squared norms.
 
     Return the status of ``integer_least_squares`` and the success rate of bootstrapping.
     """
     n = pairs.shape[0]
-    a, Q, D = np.empty(n), np.empty((n, n)), np.empty(n)
+    a, Q, D = scratch(n), scratch_table(n, n), scratch(n)
     difference(x, P, pairs, a, Q)
     status = integer_least_squares(a, Q, node_limit, fixed, norms, D)
     return status, bootstrap_success(D, 0) if status == OK else 0.0
 
 
-@kernel
+@kernel_in_place
 def condition(x: Vector, P: Matrix, pairs: Indices, integers: Vector, slack: float, wanted: Indices, x_out: Vector, P_out: Matrix) -> float:
     """Write the mean and covariance of the wanted states given the integers of double differences; return their squared norm.
 
@@ -171,14 +176,14 @@ def condition(x: Vector, P: Matrix, pairs: Indices, integers: Vector, slack: flo
     positive definite (nothing is written then).
     """
     n, m = pairs.shape[0], len(wanted)
-    a, Q, U = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    a, Q, U = scratch(n), scratch_table(n, n), scratch_table(n, n)
     difference(x, P, pairs, a, Q)
     for k in range(n):
         Q[k, k] += slack
     if factor(Q, U) != 0:
         return np.inf
     # rows of G: U^-T times (residual, covariance with the wanted states)
-    G = np.empty((n, m + 1))
+    G = scratch_table(n, m + 1)
     for k in range(n):
         G[k, 0] = integers[k] - a[k]
         for i in range(m):
@@ -206,11 +211,11 @@ def condition(x: Vector, P: Matrix, pairs: Indices, integers: Vector, slack: flo
     return norm
 
 
-@kernel
+@kernel_in_place
 def gain_of(x: Vector, P: Matrix, pairs: Indices, gain: Matrix, mean: Vector, cov: Matrix) -> bool:
     """Write how the baseline follows from integers, mean + gain @ integers, and its covariance; False where nothing can be said."""
     n = len(pairs)
-    a, Q, U, G = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, 3))
+    a, Q, U, G = scratch(n), scratch_table(n, n), scratch_table(n, n), scratch_table(n, 3)
     difference(x, P, pairs, a, Q)
     if factor(Q, U) != 0:
         return False

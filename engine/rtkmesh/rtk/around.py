@@ -57,7 +57,7 @@ class Past(NamedTuple):
 
 class Around(NamedTuple):
     """What an epoch comes with: the base epochs that share no system, ephemerides, the single points of the rover and of a moving base, the
-    base's position (ECEF, m).
+    base's position (ECEF, m), how many satellites rover and base have.
     """
 
     rover: Epoch
@@ -65,6 +65,7 @@ class Around(NamedTuple):
     issues: Issues
     singles: tuple[Located, Located | None]
     base_ecef_m: Vector
+    satellites: tuple[int, int]
 
 
 def at_instant_of(rover: Epoch, single: Located, base: Epoch, base_single: Located, issues: Issues) -> Epoch:

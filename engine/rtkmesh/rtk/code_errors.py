@@ -15,15 +15,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh._jit import kernel_in_place, scratch_flags
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.code_places import learn_place, place_factor
-from rtkmesh.rtk.noise import code_factors
 from rtkmesh.rtk.residuals import WAVELENGTH, Differences
-from rtkmesh.rtk.separation import CLOCK, RANGE, UNKNOWNS, Epochwise, Ranges, code_ranges, solve_epoch
+from rtkmesh.rtk.separation import CLOCK, RANGE, UNKNOWNS, Codes, Epochwise, Ranges
 from rtkmesh.rtk.state import ARC_EPOCHS, TAKEN_M, TAKEN_M2, Filter
-from rtkmesh.rtk.update import Layout, Update
+from rtkmesh.rtk.update import Layout
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -39,35 +37,33 @@ MOST: Final = 20.0
 FAR_M: Final = 5e3  # from here on what the atmosphere does to floats, which no code shows, is not to be made less
 
 
-@kernel
+@kernel_in_place
 def float_factor(
-    f: Filter, d: Differences, layout: Layout, update: Update, scale: Matrix, walk_cyc: float, step_s: float, rover_ecef_m: Vector,
-    modelled_m: Vector,
-) -> float:  # fmt: skip
+    f: Filter, d: Differences, layout: Layout, codes: Codes, scale: Matrix, walk_cyc: float, step_s: float, modelled_m: Vector
+) -> float:
     """Let the ambiguities take this epoch's code residuals; return the factor of the float position's variance.
 
     ``walk_cyc`` is the filter's random walk of ambiguities (per square root of second), ``step_s`` the time since the last epoch (NaN:
-    none); the differences were modelled for ``rover_ecef_m``, with ``modelled_m`` as baseline (ECEF).
+    none); the differences were modelled for ``modelled_m`` as baseline (ECEF).
     """
-    geodetic = geodetic_from_ecef(rover_ecef_m)
-    turn, factors = enu_from_ecef(geodetic[0], geodetic[1]), code_factors(scale, np.zeros((2, scale.shape[1])))
-    codes = code_ranges(d, update.code_used, factors, turn)
-    epoch = solve_epoch(codes)
+    ranges, epoch = codes.ranges, codes.whole
     if not epoch.solved:
         return place_factor(scale)
-    learn_place(scale, epoch, f, modelled_m, turn, step_s)
+    learn_place(scale, epoch, f, modelled_m, codes.turn, step_s)
     lasting = place_factor(scale)
-    squares, count, judged = 0.0, 0, np.zeros(codes.groups, np.bool_)
-    for k in range(len(codes.weight)):
-        if not codes.weight[k] > 0.0 or layout.ambiguity[k] < 0 or d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
+    squares, count, groups, judged = 0.0, 0, 0, scratch_flags(ranges.groups)
+    judged[:] = False
+    for k in range(len(ranges.weight)):
+        if not ranges.weight[k] > 0.0 or layout.ambiguity[k] < 0 or d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
             continue
         row, walk_m = f.history[layout.ambiguity[k]], walk_cyc * d.table[k, WAVELENGTH]
         inflation = layout.code_inflation[k] if row[ARC_EPOCHS] > 1.0 else 1.0
-        take(row, residual(codes, epoch, k), inflation / codes.weight[k], walk_m * walk_m * step_s)
+        take(row, residual(ranges, epoch, k), inflation / ranges.weight[k], walk_m * walk_m * step_s)
         squares += row[TAKEN_M] ** 2 / row[TAKEN_M2]
         count += 1
-        judged[codes.group[k]] = True
-    redundancy = count - np.count_nonzero(judged) - UNKNOWNS
+        groups += 0 if judged[ranges.group[k]] else 1
+        judged[ranges.group[k]] = True
+    redundancy = count - groups - UNKNOWNS
     if redundancy <= 0:
         return lasting
     factor, length_m = lasting * factor_of(squares, float(redundancy)), sqrt(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2)

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place, scratch
 from rtkmesh.rtk.noise import PHASE
 from rtkmesh.rtk.separation import UNKNOWNS, Epochwise
 from rtkmesh.rtk.state import Filter
@@ -43,12 +43,12 @@ def place_factor(scale: Matrix) -> float:
     return max(1.0, 1.0 + LASTING * (scatter - CHANCE))
 
 
-@kernel
+@kernel_in_place
 def learn_place(scale: Matrix, epoch: Epochwise, f: Filter, modelled_m: Vector, turn: Matrix, step_s: float) -> None:
     """Take in the distance of an epoch's codes' own place from the float solution; ``modelled_m`` is the baseline (ECEF) that the
     differences were modelled for, ``step_s`` the time since the last epoch (NaN: none).
     """
-    gap_m, dof, square = np.empty(UNKNOWNS), float(UNKNOWNS), 0.0
+    gap_m, dof, square = scratch(UNKNOWNS), float(UNKNOWNS), 0.0
     for i in range(UNKNOWNS):
         gap_m[i] = epoch.place[i]
         for a in range(3):

@@ -9,7 +9,7 @@ that velocities on it have the other sign; models see the time of the epochs the
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import reduce
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import Final
 
 import numpy as np
@@ -25,22 +25,23 @@ from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.around import Around, Past, at_instant_of
 from rtkmesh.rtk.asked_odds import DOUBLED_M
-from rtkmesh.rtk.bookkeeping import Motion, seed
+from rtkmesh.rtk.bookkeeping import Motion
 from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.crossing import plain
+from rtkmesh.rtk.matching import census
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
 from rtkmesh.rtk.overview import Overview, overview_of
 from rtkmesh.rtk.rate_errors import RateErrors
 from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Setup, Solved, differences_of, solve
-from rtkmesh.rtk.report import FIGURES, IS_FIXED, ODDS, Circumstances, from_single, report
+from rtkmesh.rtk.report import FIGURES, IS_FIXED, Circumstances, from_single, report
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.setup import setup_of
 from rtkmesh.rtk.solution import Reason, SatelliteTable, Solution
-from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, FilterState, length_m
+from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, FilterState, filter_at, length_m
 from rtkmesh.rtk.step import ASTRAY, Step, move_on, take_step
 
 Vector = NDArray[np.float64]
@@ -198,10 +199,11 @@ class Rtk:
         reason = self._obstacle(rover, base, base_position_ecef_m)
         if reason is not None or base is None or base_position_ecef_m is None:
             return replace(self._alone(rover, base, single), reason=reason)
+        missing, *satellites = census(rover.satellite, base.satellite)
         bases = [base]
         if not self._base_moves:
-            bases = complemented(rover, base, self._bases.before(base) if earlier_bases is None else earlier_bases)
-        around = Around(rover, bases, issues, (single, base_single), base_position_ecef_m)
+            bases = complemented(base, missing, self._bases.before(base) if earlier_bases is None else earlier_bases)
+        around = Around(rover, bases, issues, (single, base_single), base_position_ecef_m, (satellites[0], satellites[1]))
         return self._doubted(self._relative(around))
 
     def _doubted(self, solution: Solution) -> Solution:
@@ -258,13 +260,11 @@ class Rtk:
 
     def _begun(self, around: Around) -> FilterState:
         """Return the state of a filter that begins with this epoch."""
-        state = FilterState(around.rover.time, base_ecef_m=around.base_ecef_m.copy())
         fixed = self.options.fixed_position_ecef_m if self._is_fixed else None
         start = around.singles[0].position_ecef_m if fixed is None else np.array(fixed)
-        sigmas = SEED_MOVING if self._moves else SEED_STANDING
-        for one in (state.filter, state.informed):
-            seed(one, start - state.base_ecef_m, sigmas if fixed is None else SEED_FIXED)
-        return state
+        sigmas = SEED_FIXED if fixed is not None else (SEED_MOVING if self._moves else SEED_STANDING)
+        witness, informed = (filter_at(start - around.base_ecef_m, sigmas) for _ in range(2))
+        return FilterState(around.rover.time, witness, informed, base_ecef_m=around.base_ecef_m.copy())
 
     def _clock_s(self, state: FilterState, time: GpsTime) -> float:
         """Return an instant on the filter's clock."""
@@ -291,8 +291,10 @@ class Rtk:
             return replace(self._alone(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
         factors = self._rates[0].factor, self._rates[1].factor
-        circumstances = Circumstances(age_s, self._moves, self._sense, around.singles[1], factors, self._resets, self.options)
-        solution = report(rover, base, single, around.base_ecef_m, solved, circumstances)
+        circumstances = Circumstances(
+            age_s, self._moves, self._sense, around.singles[1], factors, around.satellites, self._resets, self.options
+        )
+        solution = report(rover, single, around.base_ecef_m, solved, circumstances)
         self._satellites = solution.satellites
         return solution
 
@@ -319,13 +321,13 @@ class Rtk:
         """Return the step of filters that begin with the epoch."""
         return Step(nan, around.base_ecef_m, nan, self._moves, False, False, False, self._motion)
 
-    def _solved(self, state: FilterState, past: Past, around: Around, step: Step) -> Solved:
-        """Return the relative solution of an epoch, and let state and past be what came of it."""
+    def _solved(self, state: FilterState, past: Past, around: Around, step: Step, least_odds: float = -inf) -> Solved:
+        """Return the relative solution of an epoch, and let state and past be what came of it; UNCLEAR where ``least_odds`` are not met."""
         base, single = around.bases[0], around.singles[0]
         base_s, channel, klobuchar = self._clock_s(state, base.time), around.issues.channel, self._point.klobuchar
         known = Known(
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
-            past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s,
+            past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s, least_odds,
         )  # fmt: skip
         step_s = state.time_s - state.rover_s
         learned = past.learned(step_s)
@@ -365,9 +367,9 @@ class Rtk:
         """
         begun, past = self._begun(around), self._past.copy()
         past.forget()
-        solved = self._solved(begun, past, around, self._beginning(around))
         clear = ACCEPT_AT_ONCE * (1.0 + min(state.baseline_m / DOUBLED_M, 1.0))
-        if solved.status != SOLVED or not solved.figures[IS_FIXED] or solved.figures[ODDS] < clear:
+        solved = self._solved(begun, past, around, self._beginning(around), clear)
+        if solved.status != SOLVED or not solved.figures[IS_FIXED]:
             return None
         self._state, self._resets = begun, self._resets + 1
         self._past.memory[:], self._past.prediction[:] = past.memory, past.prediction

@@ -16,7 +16,7 @@ from typing import Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -140,7 +140,7 @@ def _entries(row: Vector, places: Indices, dynamic: int, at: Indices, h: Vector)
     return count
 
 
-@kernel
+@kernel_in_place
 def normal_equations(observations: Matrix, places: Indices, dynamic: int, groups: int, N: Matrix, b: Vector, mean: Matrix) -> None:
     """Write N (n x n) and b (n) of all observations with their group clocks eliminated (Schur complement, one rank per group).
 
@@ -150,7 +150,7 @@ def normal_equations(observations: Matrix, places: Indices, dynamic: int, groups
     N[:, :] = 0.0
     b[:] = 0.0
     mean[:, :] = 0.0
-    at, h = np.empty(7, np.int64), np.empty(7)
+    at, h = scratch_indices(7), scratch(7)
     for k in range(observations.shape[0]):
         w, y, g = observations[k, W], observations[k, Y], places[k, GROUP]
         if not w > 0.0:
@@ -198,10 +198,10 @@ def add_rows(target: Vector, coefficients: Vector, rows: Matrix, first: int, las
         k += 1
 
 
-@kernel
+@kernel_in_place
 def factor(P: Matrix, U: Matrix) -> int:
     """Write the upper triangular U with P = U'U."""
-    return _factor(P, U, np.empty(len(P)))
+    return _factor(P, U, scratch(len(P)))
 
 
 @kernel_in_place
@@ -260,7 +260,7 @@ def posterior(P: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int
 def posterior_of(U: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int:
     """Write P_new and dx as ``posterior`` does, for P = U'U; U (written to) becomes V."""
     n = len(b)
-    return _posterior_in(np.empty((3, n, n)), np.empty(n), U, N, b, P_new, dx)
+    return _posterior_in(np.empty((3, n, n)), scratch(n), U, N, b, P_new, dx)
 
 
 @kernel_in_place
@@ -301,7 +301,7 @@ def _posterior_in(room: Cube, minus: Vector, U: Matrix, N: Matrix, b: Vector, P_
     return OK
 
 
-@kernel
+@kernel_in_place
 def residuals(
     observations: Matrix, places: Indices, dynamic: int, mean: Matrix, P: Matrix, dx: Vector, before: bool, value: Vector, variance: Vector
 ) -> None:
@@ -312,7 +312,8 @@ def residuals(
     where W is negative; W = 0 gives NaN.
     """
     n, groups = len(dx), mean.shape[0]
-    Pm, mPm, clock = np.zeros((groups, n)), np.zeros(groups), np.zeros(groups)
+    Pm, mPm, clock = scratch_table(groups, n), scratch(groups), scratch(groups)
+    Pm[:, :], mPm[:], clock[:] = 0.0, 0.0, 0.0
     for g in range(groups):
         if not mean[g, n + 1] > 0.0:
             continue
@@ -325,7 +326,7 @@ def residuals(
                     Pm[g, i] += f * P[j, i]
         for j in range(n):
             mPm[g] += mean[g, j] * Pm[g, j]
-    at, h = np.empty(7, np.int64), np.empty(7)
+    at, h = scratch_indices(7), scratch(7)
     for k in range(observations.shape[0]):
         g, w = places[k, GROUP], observations[k, W]
         value[k], variance[k] = np.nan, np.nan

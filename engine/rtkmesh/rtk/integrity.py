@@ -12,23 +12,24 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_table
 from rtkmesh.models.odds import SURENESS
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.asked_odds import SURVEY_CODES
 from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.memory import CONFIRMED, HELD_SINCE_S, INFORMED, UNAGREED
-from rtkmesh.rtk.noise import code_factors, phase_factor
+from rtkmesh.rtk.noise import phase_factor
 from rtkmesh.rtk.published import held_satellites
 from rtkmesh.rtk.residuals import Differences
 from rtkmesh.rtk.separation import (
+    CLOCK,
+    COLUMNS,
+    Codes,
     Epochwise,
     Ranges,
-    code_ranges,
+    Rest,
     horizontal_sigma,
     leave_out,
-    new_rest,
     normalised_square,
     phase_ranges,
     solve_epoch,
@@ -96,7 +97,7 @@ class Place(NamedTuple):
     cov_m2: Matrix
 
 
-@kernel
+@kernel_in_place
 def no_guard() -> Guard:
     """Return what is known when nothing was computed."""
     return Guard(1.0, np.nan, np.nan, np.nan, np.nan, np.nan)
@@ -158,14 +159,14 @@ def widen(levels: Vector, judged: Vector, place: Vector, cov: Matrix, sigmas: fl
     levels[1] = max(levels[1], abs(judged[2] - place[2]) + sigmas * sqrt(max(cov[2, 2], 0.0)))
 
 
-@kernel
+@kernel_in_place
 def widen_by_satellites(levels: Vector, judged: Vector, ranges: Ranges, whole: Epochwise, prior: float, budget: float) -> None:
     """Raise the levels to what the solutions without each satellite allow, each at its part of ``budget``."""
     n = len(ranges.weight)
     sigmas = INFLATION * widening(prior * SATELLITE_FAULT, budget / max(count_runs(ranges.satellite), 1))
     if sigmas < 0.0:
         return
-    rest, first = new_rest(), 0
+    rest, first = Rest(scratch(3), scratch_table(3, 3), scratch_table(CLOCK, CLOCK), scratch_table(COLUMNS, COLUMNS)), 0
     for k in range(1, n + 1):
         if k < n and ranges.satellite[k] == ranges.satellite[first]:
             continue
@@ -190,23 +191,23 @@ def protect(levels: Vector, judged: Vector, other: Place, ranges: Ranges, whole:
 
 @kernel
 def guard(
-    f: Filter, d: Differences, layout: Layout, update: Update, resolution: Resolution, scale: Matrix, memory: Vector, setup: IntegritySetup,
-    level: float, base_ecef_m: Vector, modelled_m: Vector,
+    f: Filter, d: Differences, layout: Layout, update: Update, codes: Codes, resolution: Resolution, scale: Matrix, memory: Vector,
+    setup: IntegritySetup, level: float, modelled_m: Vector,
 ) -> Guard:  # fmt: skip
-    """Return what integrity finds; ``level`` is the variance factor of codes that odds are judged by, ``modelled_m`` the baseline (ECEF)
-    that the differences were modelled for.
+    """Return what integrity finds; ``codes`` are what the epoch's codes say alone, ``level`` is the variance factor of codes that odds are
+    judged by, ``modelled_m`` the baseline (ECEF) that the differences were modelled for.
     """
     if not setup.watching:
         return no_guard()
-    geodetic, levels = geodetic_from_ecef(base_ecef_m + modelled_m), np.zeros(2)
-    turn = enu_from_ecef(geodetic[0], geodetic[1])
-    codes = code_ranges(d, update.code_used, code_factors(scale, np.zeros((2, scale.shape[1]))), turn)
-    by_codes, floating = solve_epoch(codes), place_in(turn, f.x, f.P, modelled_m)
+    levels, floating, fixed = scratch(2), Place(scratch(3), scratch_table(3, 3)), Place(scratch(3), scratch_table(3, 3))
+    turn, by_codes = codes.turn, codes.whole
+    levels[:] = 0.0
+    place_in(turn, f.x, f.P, modelled_m, floating)
     if not resolution.fixed:
-        protect(levels, floating.enu_m, floating, codes, by_codes, 1.0, setup.risk)
+        protect(levels, floating.enu_m, floating, codes.ranges, by_codes, 1.0, setup.risk)
         residual_test = larger(test_of(update.phase_chi2, update.phase_dof), test_of(by_codes.chi2, float(by_codes.dof)))
         return Guard(1.0, levels[0], levels[1], residual_test, np.nan, test_against(floating, by_codes))
-    fixed = place_in(turn, resolution.x, resolution.P, modelled_m)
+    place_in(turn, resolution.x, resolution.P, modelled_m, fixed)
     length_m = sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2)
     phases = phase_ranges(f, d, layout, update.phase_used, phase_factor(scale), turn, length_m > FAR_M)
     by_phases = solve_epoch(phases)
@@ -214,13 +215,12 @@ def guard(
     wrong = wrong_probability(resolution.odds, memory[UNAGREED], satellites - systems, length_m, level)
     float_test = np.nan
     if setup.independent:
-        gap = normalised_square(fixed.enu_m - floating.enu_m, floating.cov_m2 - fixed.cov_m2)
-        float_test = gap / chi2_limit(3.0)
+        float_test = square_apart(fixed, floating) / chi2_limit(3.0)
     elif by_codes.solved:
         floating = Place(by_codes.place, by_codes.cov)
     protect(levels, fixed.enu_m, fixed, phases, by_phases, 1.0, 0.5 * setup.risk)
     hidden = HIDDEN_FAULT * count_runs(phases.satellite) if max(levels[0], levels[1]) > HIDDEN_M else 0.0
-    protect(levels, fixed.enu_m, floating, codes, by_codes, wrong, 0.5 * setup.risk)
+    protect(levels, fixed.enu_m, floating, codes.ranges, by_codes, wrong, 0.5 * setup.risk)
     residual_test = test_of(by_phases.chi2, float(by_phases.dof))
     return Guard(min(wrong + hidden, 1.0), levels[0], levels[1], residual_test, float_test, test_against(fixed, by_codes))
 
@@ -231,10 +231,24 @@ def test_of(chi2: float, dof: float) -> float:
     return chi2 / chi2_limit(dof) if dof > 0.5 else np.nan
 
 
-@kernel
+@kernel_in_place
 def test_against(place: Place, whole: Epochwise) -> float:
     """Return the test of a place against the epoch's own solution, NaN without one."""
-    return normalised_square(place.enu_m - whole.place, whole.cov) / chi2_limit(3.0) if whole.solved else np.nan
+    gap_m = scratch(3)
+    for i in range(3):
+        gap_m[i] = place.enu_m[i] - whole.place[i]
+    return normalised_square(gap_m, whole.cov) / chi2_limit(3.0) if whole.solved else np.nan
+
+
+@kernel_in_place
+def square_apart(fixed: Place, floating: Place) -> float:
+    """Return the normalised square of what lies between a fixed and a float place: integers take from the covariance what they explain."""
+    gap_m, cov_m2 = scratch(3), scratch_table(3, 3)
+    for i in range(3):
+        gap_m[i] = fixed.enu_m[i] - floating.enu_m[i]
+        for j in range(3):
+            cov_m2[i, j] = floating.cov_m2[i, j] - fixed.cov_m2[i, j]
+    return normalised_square(gap_m, cov_m2)
 
 
 @kernel_in_place
@@ -243,14 +257,14 @@ def larger(first: float, second: float) -> float:
     return second if not first >= second and isfinite(second) else first
 
 
-@kernel
-def place_in(turn: Matrix, x: Vector, P: Matrix, origin: Vector) -> Place:
-    """Return the first three of x minus an origin, and their covariance, in the frame that ``turn`` leads to."""
-    out, cov = np.zeros(3), np.zeros((3, 3))
+@kernel_in_place
+def place_in(turn: Matrix, x: Vector, P: Matrix, origin: Vector, out: Place) -> None:
+    """Write the first three of x minus an origin, and their covariance, in the frame that ``turn`` leads to."""
+    place, cov = out.enu_m, out.cov_m2
+    place[:], cov[:, :] = 0.0, 0.0
     for i in range(3):
         for a in range(3):
-            out[i] += turn[i, a] * (x[a] - origin[a])
+            place[i] += turn[i, a] * (x[a] - origin[a])
             for b in range(3):
                 for j in range(3):
                     cov[i, j] += turn[i, a] * P[a, b] * turn[j, b]
-    return Place(out, cov)

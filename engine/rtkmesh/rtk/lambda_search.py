@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place, scratch, scratch_indices, scratch_table
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -136,14 +136,13 @@ def _swap(L: Matrix, D: Vector, back: Matrix, z: Vector, k: int, swapped: float)
     z[k], z[k + 1] = z[k + 1], z[k]
 
 
-@kernel
-def new_walk(D: Vector, z: Vector) -> Matrix:
-    """Return a walk (WALK x n) through the integer vectors near z, at the last level: there the search begins."""
-    n = len(D)
-    walk = np.zeros((WALK, n))
-    walk[VARIANCE], walk[FLOAT] = D, z
-    _begin_level(walk, n - 1, 0.0)
-    return walk
+@kernel_in_place
+def begin_walk(walk: Matrix, S: Matrix, D: Vector, z: Vector) -> None:
+    """Begin a walk (WALK x n, with S of ``next_vector``) through the integer vectors near z, at the last level."""
+    walk[:, :], S[:, :] = 0.0, 0.0
+    for k in range(len(D)):
+        walk[VARIANCE, k], walk[FLOAT, k] = D[k], z[k]
+    _begin_level(walk, len(D) - 1, 0.0)
 
 
 @kernel_in_place
@@ -189,20 +188,22 @@ def next_vector(L: Matrix, S: Matrix, walk: Matrix, k: int, limit: float, nodes:
     return NODE_LIMIT, 0.0, 0
 
 
-@kernel
+@kernel_in_place
 def search(L: Matrix, D: Vector, z: Vector, node_limit: int, candidates: Matrix, norms: Vector) -> int:
     """Find the integer vectors nearest to z in the metric of L' D L, best first, in an ellipsoid that shrinks (MLAMBDA section 4).
 
     ``candidates`` (m x n) and ``norms`` (m) receive the m best. Return OK or NODE_LIMIT.
     """
-    m, walk, S = len(norms), new_walk(D, z), np.zeros(L.shape)
-    found, worst, limit, k, left = 0, 0, np.inf, len(D) - 1, node_limit
+    m, n = len(norms), len(D)
+    walk, S = scratch_table(WALK, n), scratch_table(n, n)
+    begin_walk(walk, S, D, z)
+    found, worst, limit, k, left = 0, 0, np.inf, n - 1, node_limit
     while True:
         status, total, left = next_vector(L, S, walk, k, limit, left)
         if status != FOUND:
             break
         place = found if found < m else worst
-        for j in range(len(D)):
+        for j in range(n):
             candidates[place, j] = walk[TRIAL, j]
         norms[place] = total
         if found < m:
@@ -248,9 +249,8 @@ def bootstrap_success(D: Vector, first: int) -> float:
 
 
 class Decorrelated(NamedTuple):
-    """Float ambiguities ``z`` after the decorrelation, of covariance L' D L, and what takes integers back; ``ok`` where there is one."""
+    """Float ambiguities ``z`` after the decorrelation, of covariance L' D L, and what takes integers back."""
 
-    ok: bool
     L: Matrix
     D: Vector
     z: Vector
@@ -259,20 +259,24 @@ class Decorrelated(NamedTuple):
     permutation: NDArray[np.int64]
 
 
-@kernel
-def decorrelate(a: Vector, Q: Matrix) -> Decorrelated:
-    """Return float ambiguities ``a`` (cycles, n) with covariance Q (n x n) in coordinates that are hardly correlated."""
-    n = len(a)
-    L, D, work, back = np.zeros((n, n)), np.zeros(n), Q.copy(), np.zeros((n, n))
-    permutation, z, whole = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
-    if factorize(work, L, D, permutation) != OK:
-        return Decorrelated(False, L, D, z, back, whole, permutation)
+@kernel_in_place
+def decorrelate(a: Vector, Q: Matrix, there: Decorrelated) -> bool:
+    """Write float ambiguities ``a`` (cycles, n) with covariance Q (n x n) in coordinates that are hardly correlated.
+
+    False where there are none: Q is not positive definite.
+    """
+    n, work = len(a), scratch_table(len(a), len(a))
     for i in range(n):
-        whole[i] = np.rint(a[permutation[i]])  # large integers must not cost digits in the transformation
-        z[i] = a[permutation[i]] - whole[i]
-        back[i, i] = 1.0
-    reduce(L, D, back, z)
-    return Decorrelated(True, L, D, z, back, whole, permutation)
+        for j in range(n):
+            work[i, j], there.L[i, j], there.back[i, j] = Q[i, j], 0.0, 0.0
+        there.back[i, i], there.D[i] = 1.0, 0.0
+    if factorize(work, there.L, there.D, there.permutation) != OK:
+        return False
+    for i in range(n):
+        there.whole[i] = np.rint(a[there.permutation[i]])  # large integers must not cost digits in the transformation
+        there.z[i] = a[there.permutation[i]] - there.whole[i]
+    reduce(there.L, there.D, there.back, there.z)
+    return True
 
 
 @kernel_in_place
@@ -287,19 +291,18 @@ def restore(candidates: Matrix, there: Decorrelated, fixed: Matrix) -> None:
             fixed[c, there.permutation[j]] = total
 
 
-@kernel
+@kernel_in_place
 def integer_least_squares(a: Vector, Q: Matrix, node_limit: int, fixed: Matrix, norms: Vector, D: Vector) -> int:
     """Find the integer vectors nearest to the float ambiguities ``a`` (cycles, n) in the metric of their covariance Q (n x n).
 
     ``fixed`` (m x n) and ``norms`` (m, squared norms) receive the m best, best first; ``D`` (n) the conditional variances after
     decorrelation. Return OK, NOT_POSITIVE_DEFINITE or NODE_LIMIT (then nothing in ``fixed`` is to be used).
     """
-    there = decorrelate(a, Q)
+    n, candidates = len(a), scratch_table(len(norms), len(a))
+    there = Decorrelated(scratch_table(n, n), D, scratch(n), scratch_table(n, n), scratch(n), scratch_indices(n))
     norms[:] = np.inf
-    D[:] = there.D
-    if not there.ok:
+    if not decorrelate(a, Q, there):
         return NOT_POSITIVE_DEFINITE
-    candidates = np.zeros((len(norms), len(a)))
     status = search(there.L, there.D, there.z, node_limit, candidates, norms)
     if status == OK:
         restore(candidates, there, fixed)

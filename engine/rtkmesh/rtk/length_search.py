@@ -10,18 +10,19 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
 from rtkmesh.models.odds import PRIOR_DOF
 from rtkmesh.rtk.lambda_search import (
     FOUND,
     NOT_POSITIVE_DEFINITE,
     OK,
     TRIAL,
+    WALK,
     Decorrelated,
+    begin_walk,
     bootstrap_success,
     decorrelate,
     go_on,
-    new_walk,
     next_vector,
     restore,
 )
@@ -54,8 +55,9 @@ def nearest_of_length(
     NOT_POSITIVE_DEFINITE or NODE_LIMIT (then nothing is to be used), the total that all others exceed, and bootstrapping's success rate.
     """
     norms[:], totals[:] = np.inf, np.inf
-    there = decorrelate(a, Q)
-    if not there.ok:
+    n = len(a)
+    there = Decorrelated(scratch_table(n, n), scratch(n), scratch(n), scratch_table(n, n), scratch(n), scratch_indices(n))
+    if not decorrelate(a, Q, there):
         return NOT_POSITIVE_DEFINITE, 0.0, 0.0
     candidates = np.zeros(fixed.shape)
     status, beyond = _enumerate(there, _by_decorrelated(there, given), nodes, candidates, norms, totals)
@@ -94,9 +96,11 @@ def farthest(D: Vector) -> float:
 @kernel
 def _enumerate(there: Decorrelated, given: Given, nodes: int, candidates: Matrix, norms: Vector, totals: Vector) -> tuple[int, float]:
     """Write the best vectors in any order; see ``nearest_of_length``."""
-    n, walk, S = len(there.z), new_walk(there.D, there.z), np.zeros(there.L.shape)
+    n = len(there.z)
+    walk, S = scratch_table(WALK, n), scratch_table(n, n)
+    begin_walk(walk, S, there.D, there.z)
     seen, worst, best, limit, most, k, left = 0, 0, np.inf, np.inf, farthest(there.D), n - 1, nodes
-    trial, place = walk[TRIAL], np.empty(3)
+    trial, place = walk[TRIAL], scratch(3)
     while True:
         status, norm, left = next_vector(there.L, S, walk, k, limit, left)
         if status != FOUND:

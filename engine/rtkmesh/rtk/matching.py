@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch_indices
 from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.epoch import Signals
 from rtkmesh.gnss.signals import ATTRIBUTES, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SIGNALS_PER_SATELLITE, SYSTEMS, allowed_satellites
@@ -99,7 +99,7 @@ def matching_rules(systems: str, frequencies: int, excluded: tuple[str, ...] = (
 @kernel
 def match(rover: Signals, base: Signals, rules: Rules) -> Pairs:
     """Return the pairs of two epochs."""
-    rover_usable, base_usable = np.empty(len(rover.satellite), np.int64), np.empty(len(base.satellite), np.int64)
+    rover_usable, base_usable = scratch_indices(len(rover.satellite)), scratch_indices(len(base.satellite))
     _usable(rover.pseudorange_m, rover.phase_cyc, rover.cn0_dbhz, rules.cn0_mask_dbhz, rover_usable)
     _usable(base.pseudorange_m, base.phase_cyc, base.cn0_dbhz, rules.cn0_mask_dbhz, base_usable)
     rows = np.empty((min(len(rover.satellite), len(base.satellite)), 3), np.int64)
@@ -226,6 +226,17 @@ def count_runs(ordered: NDArray[np.int16]) -> int:
     return count
 
 
+@kernel_in_place
+def census(rover: NDArray[np.int16], base: NDArray[np.int16]) -> tuple[int, int, int]:
+    """Return the systems that satellites of the rover belong to and none of the base (a bit each), and how many satellites both have."""
+    missing = 0
+    for satellite in rover:
+        missing |= 1 << (int(satellite) // SATELLITES_PER_SYSTEM)
+    for satellite in base:
+        missing &= ~(1 << (int(satellite) // SATELLITES_PER_SYSTEM))
+    return missing, count_runs(rover), count_runs(base)
+
+
 @kernel
 def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int64]]:
     """Return the different values of a sorted array, where each begins, and per entry the number of its value."""
@@ -240,14 +251,14 @@ def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int6
     return values[:count].copy(), first[:count].copy(), index
 
 
-@kernel
+@kernel_in_place
 def _keys(count: int, satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16], table: Indices) -> int:
     """Write the key and the clock group of each pair; return the number of groups (numbered in the order of their content).
 
     BeiDou's geostationary satellites have a clock of their own: between receivers of two makes their phases can be half a cycle off those
     of the others (Nadarajah, Teunissen and Raziq 2013, Sensors 13(7)).
     """
-    kind, kinds, groups = np.empty(count, np.int64), np.empty(count, np.int64), 0
+    kind, kinds, groups = scratch_indices(count), scratch_indices(count), 0
     for k in range(count):
         signals = int(rover_signal[table[ROVER, k]]) * SIGNALS_PER_SATELLITE + int(base_signal[table[BASE, k]])
         number = int(satellite[k])

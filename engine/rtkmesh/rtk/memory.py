@@ -35,6 +35,9 @@ SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
     AGREED_S, PROVEN_S, NOTED_S,
 ) = range(24)  # fmt: skip
 MEMORY: Final = 24
+_NOTHING: Final = np.zeros(MEMORY)
+_NOTHING[[STREAK_START_S, HELD_SINCE_S, LAST_FIX_S]] = inf
+_NOTHING[[LAST_COUNT, NOTED_S]] = -1.0, -inf
 
 
 class ResolveSetup(NamedTuple):
@@ -70,11 +73,9 @@ def new_memory() -> Vector:
 
 def forget(memory: Vector) -> None:
     """Forget the integers; what was learned of GLONASS belongs to the receivers and stays."""
-    kept = memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]]
-    memory[:] = 0.0
-    memory[[STREAK_START_S, HELD_SINCE_S, LAST_FIX_S]] = inf
-    memory[LAST_COUNT], memory[NOTED_S] = -1.0, -inf
-    memory[[TRUSTS_GLONASS, SLOPE, SLOPE_SIGMA]] = kept
+    trusts, slope, sigma = memory[TRUSTS_GLONASS], memory[SLOPE], memory[SLOPE_SIGMA]
+    memory[:] = _NOTHING
+    memory[TRUSTS_GLONASS], memory[SLOPE], memory[SLOPE_SIGMA] = trusts, slope, sigma
 
 
 @kernel

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_table
 from rtkmesh.rtk.separation import normalised_square
 from rtkmesh.rtk.state import Filter
 
@@ -26,11 +26,11 @@ def with_prediction(f: Filter, prediction: Vector) -> Filter:
     return Filter(x, P, f.keys, f.history)
 
 
-@kernel
+@kernel_in_place
 def take_place(x: Vector, P: Matrix, place_m: Vector, variance_m2: float) -> None:
     """Take in, as an observation with this variance of each coordinate, where the rover is (m; the first three states)."""
     n = len(x)
-    gain = np.empty(n)
+    gain = scratch(n)
     for i in range(3):
         spread = P[i, i] + variance_m2
         innovation = place_m[i] - x[i]
@@ -48,15 +48,17 @@ def carry(x: Vector, P: Matrix, prediction: Vector, last_sigma_m: float) -> None
     take_place(x, P, prediction, last_sigma_m**2 + (PREDICTION_FLOOR_M + prediction[3]) ** 2)
 
 
-@kernel
+@kernel_in_place
 def departure(x: Vector, P: Matrix, prediction: Vector) -> float:
     """Return the squared distance of a fix from the prediction (m, ECEF, and its sigma), normalised by the covariance of both.
 
     A satellite whose phase is a reflected one, or that has slipped, moves the fix only when few others are left: away from where the last
     fix and the motion since put the rover.
     """
-    gap_m, cov_m2 = np.empty(3), P[:3, :3].copy()
+    gap_m, cov_m2 = scratch(3), scratch_table(3, 3)
     for i in range(3):
         gap_m[i] = x[i] - prediction[i]
+        for j in range(3):
+            cov_m2[i, j] = P[i, j]
         cov_m2[i, i] += (PREDICTION_FLOOR_M + prediction[3]) ** 2
     return normalised_square(gap_m, cov_m2)

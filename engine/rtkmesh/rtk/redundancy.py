@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place, scratch_flags
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.rtk.state import DYNAMIC, Filter
 
@@ -23,12 +23,13 @@ def are_bare(f: Filter, pairs: Indices) -> bool:
     return count_satellites(f, pairs) < LEAST_SATELLITES
 
 
-@kernel
+@kernel_in_place
 def count_satellites(f: Filter, pairs: Indices) -> int:
     """Return how many satellites these double differences are of, references too."""
-    taken = np.zeros(len(f.keys), np.bool_)
-    for state in pairs.ravel():
-        taken[state - DYNAMIC] = True
+    taken = scratch_flags(len(f.keys))
+    taken[:] = False
+    for k in range(len(pairs)):
+        taken[pairs[k, 0] - DYNAMIC], taken[pairs[k, 1] - DYNAMIC] = True, True
     count, last = 0, -1
     for k in range(len(taken)):
         satellite = f.keys[k] // KEYS_PER_SATELLITE

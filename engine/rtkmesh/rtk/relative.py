@@ -26,6 +26,7 @@ from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, l
 from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
+from rtkmesh.rtk.separation import codes_alone
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
@@ -52,7 +53,7 @@ _DOPPLER_SIGMA_MPS: Final = 0.3  # of that mean: Doppler noise of patch antennas
 _STEP_SIGMA_M: Final = 0.05  # of the motion in a step by Dopplers, beside their own sigma
 _JERK_SHARE: Final = 0.25  # part of a change of velocity by which the mean of two can be wrong
 
-SOLVED, FEW_COMMON, NOT_FINITE = range(3)
+SOLVED, FEW_COMMON, NOT_FINITE, UNCLEAR = range(4)
 
 
 class Setup(NamedTuple):
@@ -86,7 +87,8 @@ class Known(NamedTuple):
     ``times_s`` are now rover, now base, last rover, last base on the filter's clock; ``last_model_ecef_m`` is where the rover was taken to
     be in the last epoch; ``prediction`` where the last fix and the motion since put the baseline (m, ECEF), its sigma (m), and the last
     epoch's velocity; the velocity is the Doppler velocity relative to the base. What is not known is NaN. ``codes_s`` is when codes were
-    seen (``code_arcs``).
+    seen (``code_arcs``). ``least_odds`` are the log odds of integers without which nobody wants the solution; minus infinite: it is wanted
+    in any case.
     """
 
     times_s: Vector
@@ -99,6 +101,7 @@ class Known(NamedTuple):
     velocity_cov_m2ps2: Matrix
     informed_scale: Matrix
     codes_s: Matrix
+    least_odds: float
 
 
 class Look(NamedTuple):
@@ -115,8 +118,9 @@ class Look(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """What came of a pair of epochs: SOLVED, FEW_COMMON or NOT_FINITE; the filter and the informed one; dynamic states and their
-    covariance; the row of figures and the satellite table as ``report`` has them; the covariance of the position that is published.
+    """What came of a pair of epochs: SOLVED, FEW_COMMON, NOT_FINITE or UNCLEAR (no such integers as are wanted); the filter and the
+    informed one; dynamic states and their covariance; the row of figures and the satellite table as ``report`` has them; the covariance of
+    the position that is published.
     """
 
     status: int
@@ -200,7 +204,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
     remember(f, d, layout, outcome.phase_used, time_s)
     modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
-    float_scale = float_factor(f, d, layout, outcome, known.scale, setup.ambiguity_walk_cyc, step_s, model_ecef_m, modelled_m)
+    codes = codes_alone(d, outcome.code_used, known.scale, model_ecef_m)
+    float_scale = float_factor(f, d, layout, codes, known.scale, setup.ambiguity_walk_cyc, step_s, modelled_m)
     far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
@@ -213,6 +218,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         settled = _find_integers(f, informed, d, candidates, known, setup, look, motion)
         resolution, informed = settled.resolution, settled.informed
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
+        if isfinite(known.least_odds) and (not resolution.fixed or resolution.odds < known.least_odds):
+            return Solved(UNCLEAR, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
         if sure:
             squares = (outcome.phase_chi2 + settled.norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
@@ -223,10 +230,10 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
         if is_vague(published, level, held_satellites(f, d, layout)[0]):
             resolution = withheld(resolution, TOO_UNCERTAIN)
-    guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, level, known.base_ecef_m, modelled_m)
+    guarded = guard(f, d, layout, outcome, codes, resolution, known.scale, known.memory, setup.integrity, level, modelled_m)
     if resolution.fixed and guarded.wrong > setup.failure_rate:
         resolution = withheld(resolution, TOO_RISKY)
-        guarded = guard(f, d, layout, outcome, resolution, known.scale, known.memory, setup.integrity, level, known.base_ecef_m, modelled_m)
+        guarded = guard(f, d, layout, outcome, codes, resolution, known.scale, known.memory, setup.integrity, level, modelled_m)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     describe_guard(guarded, resolution.odds, figures)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch_flags
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SIGNALS_PER_SATELLITE
 from rtkmesh.models.code_selection import USED
@@ -110,7 +110,8 @@ def from_single(rover: Epoch, base: Epoch | None, single: Located, rate_factor: 
 
 class Circumstances(NamedTuple):
     """What is around a relative solution: ``base_single`` is the single point of a moving base, else None; ``rate_factors`` are of the
-    covariances of both receivers' velocities; ``sense`` is 1.0, or -1.0 where the filter's clock runs against GPS time.
+    covariances of both receivers' velocities; ``satellites`` are how many both have; ``sense`` is 1.0, or -1.0 where the filter's clock
+    runs against GPS time.
     """
 
     age_s: float
@@ -118,11 +119,12 @@ class Circumstances(NamedTuple):
     sense: float
     base_single: Located | None
     rate_factors: tuple[float, float]
+    satellites: tuple[int, int]
     resets: int
     options: RtkOptions
 
 
-def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> Solution:
+def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> Solution:
     """Return the relative solution: fixed where the resolution says so, else float, else differential code."""
     x, P, numbers = solved.x, solved.P, solved.figures.tolist()  # x and P are this epoch's alone: what is given of them are views
     base_ecef_m = base_ecef_m.copy()
@@ -130,44 +132,45 @@ def report(rover: Epoch, base: Epoch, single: Located, base_ecef_m: Vector, solv
     covariance = solved.position_cov_m2[:3, :3]
     velocity_mps, velocity_cov_m2ps2, acceleration_mps2, acceleration_cov_m2ps4 = _motion(single, x, P, around)
     integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
-    return Solution(
-        time=rover.time,
-        status=status,
-        reason=_REASON_OF[int(numbers[REASON])],
-        position_ecef_m=base_ecef_m + x[:3],
-        position_cov_ecef_m2=covariance if around.base_single is None else covariance + around.base_single.covariance_m2,
-        velocity_ecef_mps=velocity_mps,
-        velocity_cov_ecef_m2ps2=velocity_cov_m2ps2,
-        acceleration_ecef_mps2=acceleration_mps2,
-        acceleration_cov_ecef_m2ps4=acceleration_cov_m2ps4,
-        base_ecef_m=base_ecef_m,
-        baseline_ecef_m=x[:3],
-        baseline_cov_ecef_m2=covariance,
-        single_position_ecef_m=single.position_ecef_m,
-        receiver_clock_s=single.clock_s,
-        clocks_s=single.clocks_s,
-        age_s=around.age_s,
-        ratio=numbers[RATIO],
-        ratio_threshold=numbers[THRESHOLD],
-        success_rate=numbers[SUCCESS],
-        grade=int(numbers[GRADE]),
-        ambiguities=int(numbers[AMBIGUITIES]),
-        ambiguities_fixed=int(numbers[COUNT_FIXED]),
-        satellites_used=int(numbers[SATELLITES_USED]),
-        satellites_rover=count_runs(rover.satellite),
-        satellites_base=count_runs(base.satellite),
-        code_rms_m=numbers[CODE_RMS_M],
-        phase_rms_m=numbers[PHASE_RMS_M],
-        nis_per_observation=numbers[NIS],
-        fix_probability=1.0 - numbers[WRONG] if status is _FIX else 0.0,
-        protection_horizontal_m=numbers[PROTECTION_H_M],
-        protection_vertical_m=numbers[PROTECTION_V_M],
-        integrity=integrity,
-        integrity_reason=why,
-        satellites=SatelliteTable(solved.satellites),
-        float_state=_float_state(solved, base_ecef_m, around),
-        resets=around.resets,
-    )
+    solution = object.__new__(Solution)  # field by field: its own initialiser takes 3 us for so many
+    solution.time = rover.time
+    solution.status = status
+    solution.reason = _REASON_OF[int(numbers[REASON])]
+    solution.position_ecef_m = base_ecef_m + x[:3]
+    solution.position_cov_ecef_m2 = covariance if around.base_single is None else covariance + around.base_single.covariance_m2
+    solution.velocity_ecef_mps = velocity_mps
+    solution.velocity_cov_ecef_m2ps2 = velocity_cov_m2ps2
+    solution.acceleration_ecef_mps2 = acceleration_mps2
+    solution.acceleration_cov_ecef_m2ps4 = acceleration_cov_m2ps4
+    solution.base_ecef_m = base_ecef_m
+    solution.baseline_ecef_m = x[:3]
+    solution.baseline_cov_ecef_m2 = covariance
+    solution.single_position_ecef_m = single.position_ecef_m
+    solution.receiver_clock_s = single.clock_s
+    solution.clocks_s = single.clocks_s
+    solution.age_s = around.age_s
+    solution.ratio = numbers[RATIO]
+    solution.ratio_threshold = numbers[THRESHOLD]
+    solution.success_rate = numbers[SUCCESS]
+    solution.grade = int(numbers[GRADE])
+    solution.ambiguities = int(numbers[AMBIGUITIES])
+    solution.ambiguities_fixed = int(numbers[COUNT_FIXED])
+    solution.satellites_used = int(numbers[SATELLITES_USED])
+    solution.satellites_rover = around.satellites[0]
+    solution.satellites_base = around.satellites[1]
+    solution.code_rms_m = numbers[CODE_RMS_M]
+    solution.phase_rms_m = numbers[PHASE_RMS_M]
+    solution.nis_per_observation = numbers[NIS]
+    solution.fix_probability = 1.0 - numbers[WRONG] if status is _FIX else 0.0
+    solution.protection_horizontal_m = numbers[PROTECTION_H_M]
+    solution.protection_vertical_m = numbers[PROTECTION_V_M]
+    solution.integrity = integrity
+    solution.integrity_reason = why
+    solution.satellites = SatelliteTable(solved.satellites)
+    solution.float_state = _float_state(solved, base_ecef_m, around)
+    solution.resets = around.resets
+    solution.waited_s = 0.0
+    return solution
 
 
 def _float_state(solved: "Solved", base_ecef_m: Vector, around: Circumstances) -> FloatState:
@@ -227,10 +230,10 @@ def describe_guard(guarded: Guard, odds: float, out: Vector) -> None:
     out[RESIDUAL_TEST], out[FLOAT_TEST], out[CODE_TEST] = guarded.residual_test, guarded.float_test, guarded.code_test
 
 
-@kernel
+@kernel_in_place
 def describe_fit(d: Differences, layout: Layout, update: Update, out: Vector) -> None:
     """Write the counts and root mean squares of an update."""
-    used = np.empty(len(layout.ambiguity), np.bool_)
+    used = scratch_flags(len(layout.ambiguity))
     for k in range(len(used)):
         out[AMBIGUITIES] += 1.0 if layout.ambiguity[k] >= 0 else 0.0
         used[k] = update.code_used[k] or update.phase_used[k]

@@ -11,8 +11,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
+from rtkmesh.gnss.frames import write_enu, write_geodetic
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
+from rtkmesh.rtk.noise import code_factors
 from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import INTEGER, Filter
 from rtkmesh.rtk.update import Layout
@@ -53,6 +55,25 @@ class Epochwise(NamedTuple):
     dof: int
 
 
+class Codes(NamedTuple):
+    """The codes of an epoch as ranges and their own solution; ``turn`` takes ECEF to east-north-up there."""
+
+    turn: Matrix
+    ranges: Ranges
+    whole: Epochwise
+
+
+@kernel
+def codes_alone(d: Differences, used: NDArray[np.bool_], scale: Matrix, rover_ecef_m: Vector) -> Codes:
+    """Return what the codes of an epoch say by themselves; the differences were modelled for a rover at ``rover_ecef_m``."""
+    geodetic, trial, turn = scratch(3), scratch_table(2, scale.shape[1]), np.empty((3, 3))
+    trial[:, :] = 0.0
+    write_geodetic(rover_ecef_m, geodetic)
+    write_enu(geodetic[0], geodetic[1], turn)
+    ranges = code_ranges(d, used, code_factors(scale, trial), turn)
+    return Codes(turn, ranges, solve_epoch(ranges))
+
+
 @kernel
 def code_ranges(d: Differences, used: NDArray[np.bool_], factors: Vector, turn: Matrix) -> Ranges:
     """Return the codes; ``factors`` are those of code variances per system, ``turn`` takes ECEF to east-north-up."""
@@ -85,13 +106,14 @@ def phase_ranges(
     return out
 
 
-@kernel
+@kernel_in_place
 def _combine_bands(out: Ranges, d: Differences) -> None:
     """Put in place of a satellite's first phase its ionosphere-free combination with the second; no others stay.
 
     With q = (f1 / f)^2 it is (q2 L1 - q1 L2) / (q2 - q1). A group is combined with one other group only, so that it keeps one clock.
     """
-    partner, n, last = np.full(out.groups, -1, np.int64), len(out.weight), -1
+    partner, n, last = scratch_indices(out.groups), len(out.weight), -1
+    partner[:] = -1
     for k in range(n):
         q1, w1 = d.table[k, IONOSPHERE], out.weight[k]
         out.weight[k] = 0.0
@@ -125,10 +147,11 @@ def _put(out: Ranges, k: int, value_m: float, variance_m2: float, used: bool) ->
     out.rows[k, RANGE], out.weight[k] = value_m if usable else 0.0, 1.0 / variance_m2 if usable else 0.0
 
 
-@kernel
+@kernel_in_place
 def _take_clocks(out: Ranges) -> None:
     """Take the first range of each group from all of it: clocks and integers of thousands of kilometres would eat the millimetres."""
-    clock = np.full(out.groups, np.nan)
+    clock = scratch(out.groups)
+    clock[:] = np.nan
     for k in range(len(out.weight)):
         if out.weight[k] > 0.0:
             if not isfinite(clock[out.group[k]]):
@@ -182,12 +205,6 @@ class Rest(NamedTuple):
     less: Matrix
 
 
-@kernel
-def new_rest() -> Rest:
-    """Return the room for a rest."""
-    return Rest(np.empty(3), np.empty((3, 3)), np.empty((CLOCK, CLOCK)), np.empty((COLUMNS, COLUMNS)))
-
-
 @kernel_in_place
 def leave_out(ranges: Ranges, whole: Epochwise, first: int, last: int, rest: Rest) -> bool:
     """Write place and covariance of the solution without the rows ``first`` to ``last`` - 1 (one satellite: each row in a group of its
@@ -239,10 +256,10 @@ def horizontal_sigma(cov: Matrix) -> float:
     return sqrt(max(middle + sqrt(half * half + cov[0, 1] * cov[0, 1]), 0.0))
 
 
-@kernel
+@kernel_in_place
 def normalised_square(difference: Vector, cov: Matrix) -> float:
     """Return difference' cov^-1 difference of three components; infinite where the covariance is singular."""
-    work, place, inverse = np.empty((CLOCK, CLOCK)), np.empty(3), np.empty((3, 3))
+    work, place, inverse = scratch_table(CLOCK, CLOCK), scratch(3), scratch_table(3, 3)
     for i in range(3):
         for j in range(3):
             work[i, j] = cov[i, j]

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratch_indices
 from rtkmesh.rtk.matching import distinct
 from rtkmesh.rtk.residuals import BASE_PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import (
@@ -120,11 +120,16 @@ def find_slips(
     ``place`` are rows of ``history`` (-1: no phase); ``times_s`` are now rover, now base, last rover, last base; ``expected`` is the
     rover's motion by its Dopplers (m; its sigma), NaN without.
     """
-    changes = _changes(d, history, place, times_s, setup.threshold_cyc)
-    heard = _hear(d, history, place, times_s)
-    tested = _test(d, changes, heard, setup, expected)
-    suspect = _suspects(changes, heard, tested)
-    for k in range(len(place)):
+    n, rover_dt_s, base_dt_s = len(place), times_s[0] - times_s[2], times_s[1] - times_s[3]
+    together = rover_dt_s > SLOW_S and abs(rover_dt_s - base_dt_s) < 0.1
+    changes = Changes(scratch(n), scratch(n), scratch(n), scratch(n), rover_dt_s, base_dt_s, together)
+    _compare(d, history, place, times_s, setup.threshold_cyc, changes)
+    heard, suspect, rover, base = (scratch_flags(n), scratch_flags(n)), scratch_flags(n), no_motion(n), no_motion(n)
+    _hear(d, history, place, times_s, heard)
+    redundancy, base_redundancy = _test(d, changes, heard, setup, expected, rover, base)
+    tested = Tested(rover, base, redundancy, base_redundancy)
+    _suspect(changes, heard, tested, suspect)
+    for k in range(n):
         verdicts.slip[k], verdicts.jump_cyc[k] = NO_SLIP, 0.0
         if place[k] < 0:
             continue
@@ -132,76 +137,77 @@ def find_slips(
         gap_s = times_s[0] - h[SEEN_S]
         if gap_s > 1.5 * changes.rover_dt_s:
             longest_s = max(setup.maximum_gap_s, 2.5 * changes.rover_dt_s)
-            _judge_return(d, k, h, times_s, heard[0, k] or heard[1, k], tested, longest_s, setup.threshold_cyc, verdicts)
+            _judge_return(d, k, h, times_s, heard[0][k] or heard[1][k], tested, longest_s, setup.threshold_cyc, verdicts)
         elif suspect[k]:
             _judge(d, k, h[BASE_S], changes, tested, verdicts)
     _follow_absent(history, place, times_s, changes, tested)
     return tested
 
 
-@kernel
-def _changes(d: Differences, history: Matrix, place: Indices, times_s: Vector, threshold_cyc: float) -> Changes:
-    n, rover_dt, base_dt = len(place), times_s[0] - times_s[2], times_s[1] - times_s[3]
-    together = rover_dt > SLOW_S and abs(rover_dt - base_dt) < 0.1
-    out = Changes(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), rover_dt, base_dt, together)
-    drift_m = (TOGETHER if together else 1.0) * DRIFT_MPS
-    for k in range(n):
-        if place[k] < 0:
-            continue
-        h = history[place[k]]
-        out.rover_threshold_m[k] = threshold_cyc * d.table[k, WAVELENGTH] + drift_m * rover_dt
-        out.base_threshold_m[k] = threshold_cyc * d.table[k, WAVELENGTH] + DRIFT_MPS * base_dt
-        if h[ISSUE] != d.issue[k]:
-            continue
-        if h[ROVER_S] == times_s[2]:
-            out.rover_m[k] = d.table[k, ROVER_PHASE] - h[ROVER_M]
-        if h[BASE_S] == times_s[3] and d.base_s[k] == times_s[1] and base_dt > 0.0:
-            out.base_m[k] = d.table[k, BASE_PHASE] - h[BASE_M]
-        if together:
-            out.rover_m[k] -= out.base_m[k]
-            out.base_m[k] = np.nan
-    return out
-
-
-@kernel
-def _hear(d: Differences, history: Matrix, place: Indices, times_s: Vector) -> Flags:
-    """Return (2 x n) whether the rover or the base says that a phase slipped or lost lock.
-
-    What a base epoch says counts once, however long it is used.
-    """
-    out = np.zeros((2, len(place)), np.bool_)
+@kernel_in_place
+def _compare(d: Differences, history: Matrix, place: Indices, times_s: Vector, threshold_cyc: float, out: Changes) -> None:
+    """Write the changes of both receivers and their thresholds."""
+    drift_m = (TOGETHER if out.together else 1.0) * DRIFT_MPS
+    out.rover_m[:], out.base_m[:], out.rover_threshold_m[:], out.base_threshold_m[:] = np.nan, np.nan, np.nan, np.nan
     for k in range(len(place)):
         if place[k] < 0:
             continue
         h = history[place[k]]
-        out[0, k] = d.flagged[k, 0] or lost_lock(d.lock_s[k, 0], h[ROVER_LOCK_S], times_s[0] - h[ROVER_S])
+        out.rover_threshold_m[k] = threshold_cyc * d.table[k, WAVELENGTH] + drift_m * out.rover_dt_s
+        out.base_threshold_m[k] = threshold_cyc * d.table[k, WAVELENGTH] + DRIFT_MPS * out.base_dt_s
+        if h[ISSUE] != d.issue[k]:
+            continue
+        if h[ROVER_S] == times_s[2]:
+            out.rover_m[k] = d.table[k, ROVER_PHASE] - h[ROVER_M]
+        if h[BASE_S] == times_s[3] and d.base_s[k] == times_s[1] and out.base_dt_s > 0.0:
+            out.base_m[k] = d.table[k, BASE_PHASE] - h[BASE_M]
+        if out.together:
+            out.rover_m[k] -= out.base_m[k]
+            out.base_m[k] = np.nan
+
+
+@kernel_in_place
+def _hear(d: Differences, history: Matrix, place: Indices, times_s: Vector, out: tuple[Flags, Flags]) -> None:
+    """Write whether the rover, and whether the base, says that a phase slipped or lost lock.
+
+    What a base epoch says counts once, however long it is used.
+    """
+    for k in range(len(place)):
+        out[0][k], out[1][k] = False, False
+        if place[k] < 0:
+            continue
+        h = history[place[k]]
+        out[0][k] = d.flagged[k, 0] or lost_lock(d.lock_s[k, 0], h[ROVER_LOCK_S], times_s[0] - h[ROVER_S])
         new_base = d.base_s[k] != h[BASE_S]
-        out[1, k] = new_base and (d.flagged[k, 1] or lost_lock(d.lock_s[k, 1], h[BASE_LOCK_S], d.base_s[k] - h[BASE_S]))
-    return out
+        out[1][k] = new_base and (d.flagged[k, 1] or lost_lock(d.lock_s[k, 1], h[BASE_LOCK_S], d.base_s[k] - h[BASE_S]))
 
 
 # --- the tests ---
 
 
-@kernel
-def _test(d: Differences, changes: Changes, heard: Flags, setup: SlipSetup, expected: Vector) -> Tested:
-    """Test the phases of both receivers."""
+@kernel_in_place
+def _test(
+    d: Differences, changes: Changes, heard: tuple[Flags, Flags], setup: SlipSetup, expected: Vector, rover: Motion, base: Motion
+) -> tuple[int, int]:
+    """Test the phases of both receivers; write their motions, return their redundancies."""
     n, satellite = len(changes.rover_m), d.pairs.satellite
-    rover, base, wavelength_m = no_motion(n), no_motion(n), d.table[:, WAVELENGTH].copy()
-    said = heard[0] | heard[1] if changes.together else heard[0]
-    doubt = _doubts(satellite, changes.rover_m, (TOGETHER if changes.together else 1.0) * changes.rover_dt_s, said)
-    electorate = _electorate(satellite, changes.rover_m, doubt, setup.rover_moves)
-    voices = Voices(satellite, d.rover_direction, electorate, setup.rover_moves, expected, wavelength_m)
+    wavelength_m, said, doubt, votes, unexpected = scratch(n), scratch_flags(n), scratch_indices(n), scratch_flags(n), scratch(4)
+    unexpected[:] = np.nan
+    for k in range(n):
+        wavelength_m[k], said[k] = d.table[k, WAVELENGTH], heard[0][k] or (changes.together and heard[1][k])
+    _doubt(satellite, changes.rover_m, (TOGETHER if changes.together else 1.0) * changes.rover_dt_s, said, doubt)
+    _elect(satellite, changes.rover_m, doubt, setup.rover_moves, votes)
+    voices = Voices(satellite, d.rover_direction, votes, setup.rover_moves, expected, wavelength_m)
     redundancy = time_difference_test(changes.rover_m, changes.rover_threshold_m, voices, rover)
     if redundancy != UNTESTED:
         redundancy = min(redundancy, agreeing(satellite, rover.residual_m, changes.rover_threshold_m) - _unknowns(setup.rover_moves))
     base_redundancy = UNTESTED
     if not changes.together and changes.base_dt_s > 0.0:
-        doubt = _doubts(satellite, changes.base_m, changes.base_dt_s, heard[1])
-        electorate = _electorate(satellite, changes.base_m, doubt, setup.base_moves)
-        voices = Voices(satellite, d.base_direction, electorate, setup.base_moves, np.full(4, np.nan), wavelength_m)
+        _doubt(satellite, changes.base_m, changes.base_dt_s, heard[1], doubt)
+        _elect(satellite, changes.base_m, doubt, setup.base_moves, votes)
+        voices = Voices(satellite, d.base_direction, votes, setup.base_moves, unexpected, wavelength_m)
         base_redundancy = time_difference_test(changes.base_m, changes.base_threshold_m, voices, base)
-    return Tested(rover, base, redundancy, base_redundancy)
+    return redundancy, base_redundancy
 
 
 @kernel_in_place
@@ -209,23 +215,23 @@ def _unknowns(moving: bool) -> int:
     return 4 if moving else 1
 
 
-@kernel
-def _doubts(satellite: NDArray[np.int16], change_m: Vector, dt_s: float, heard: Flags) -> Indices:
-    """Return per phase 0, _HEARD (the receiver says that it slipped) or _SHOWN (another band of the satellite changed otherwise)."""
-    doubt, limit_m, apart = np.zeros(len(change_m), np.int64), _BANDS_M + _BANDS_MPS * dt_s, False
+@kernel_in_place
+def _doubt(satellite: NDArray[np.int16], change_m: Vector, dt_s: float, heard: Flags, doubt: Indices) -> None:
+    """Write per phase 0, _HEARD (the receiver says that it slipped) or _SHOWN (another band of the satellite changed otherwise)."""
+    limit_m, apart = _BANDS_M + _BANDS_MPS * dt_s, False
     for k in range(len(change_m)):
         doubt[k] = _HEARD if heard[k] else 0
         apart = apart or (k > 0 and satellite[k] == satellite[k - 1] and abs(change_m[k] - change_m[k - 1]) > limit_m)
     if apart:
         _compare_bands(satellite, change_m, limit_m, doubt)
-    return doubt
 
 
-@kernel
+@kernel_in_place
 def _compare_bands(satellite: NDArray[np.int16], change_m: Vector, least_m: float, doubt: Indices) -> None:
     """Mark phases that differ from other bands of their satellite and agree with none."""
     n = len(change_m)
-    apart_m = np.full(n, np.nan)
+    apart_m = scratch(n)
+    apart_m[:] = np.nan
     for k in range(1, n):
         if satellite[k] == satellite[k - 1]:
             apart_m[k] = abs(change_m[k] - change_m[k - 1])
@@ -241,27 +247,29 @@ def _compare_bands(satellite: NDArray[np.int16], change_m: Vector, least_m: floa
             doubt[k] = _SHOWN
 
 
-@kernel
-def _electorate(satellite: NDArray[np.int16], change_m: Vector, doubt: Indices, moving: bool) -> Flags:
-    """Return which phases vote: not those that are shown to slip, nor those that are heard to where these are many and the others test
+@kernel_in_place
+def _elect(satellite: NDArray[np.int16], change_m: Vector, doubt: Indices, moving: bool, votes: Flags) -> None:
+    """Write which phases vote: not those that are shown to slip, nor those that are heard to where these are many and the others test
     each other; all where too few are left.
     """
-    unknowns, tested = _unknowns(moving), np.isfinite(change_m)
-    if not np.any(doubt):
-        return tested
-    sure, unshown = tested & (doubt == 0), tested & (doubt != _SHOWN)
+    n, unknowns, doubted = len(change_m), _unknowns(moving), False
+    sure, unshown = scratch_flags(n), scratch_flags(n)
+    for k in range(n):
+        votes[k], doubted = isfinite(change_m[k]), doubted or doubt[k] != 0
+        sure[k], unshown[k] = votes[k] and doubt[k] == 0, votes[k] and doubt[k] != _SHOWN
+    if not doubted:
+        return
     few = (1.0 - _MANY) * distinct(satellite, unshown)
-    if unknowns + REPAIR_REDUNDANCY <= distinct(satellite, sure) < few:
-        return sure
-    if distinct(satellite, unshown) >= unknowns:
-        return unshown
-    return np.isfinite(change_m)
+    only_sure = unknowns + REPAIR_REDUNDANCY <= distinct(satellite, sure) < few
+    if only_sure or distinct(satellite, unshown) >= unknowns:
+        for k in range(n):
+            votes[k] = sure[k] if only_sure else unshown[k]
 
 
 @kernel
 def _median(values: Vector) -> float:
     """Return the (lower) median of the finite values, 0 if there are none."""
-    kept, n = np.empty(len(values)), 0
+    kept, n = scratch(len(values)), 0
     for k in range(len(values)):
         if isfinite(values[k]):
             kept[n] = values[k]
@@ -272,18 +280,16 @@ def _median(values: Vector) -> float:
 # --- verdicts ---
 
 
-@kernel
-def _suspects(changes: Changes, heard: Flags, tested: Tested) -> Flags:
-    """Return which phases are to be judged: they stand out, a receiver says that they slipped, or nothing has tested them for long."""
-    out = np.empty(len(changes.rover_m), np.bool_)
+@kernel_in_place
+def _suspect(changes: Changes, heard: tuple[Flags, Flags], tested: Tested, out: Flags) -> None:
+    """Write which phases are to be judged: they stand out, a receiver says that they slipped, or nothing has tested them for long."""
     rover_m, base_m = tested.rover.residual_m, tested.base.residual_m
     by_rover, by_base = tested.redundancy != UNTESTED, tested.base_redundancy != UNTESTED
     untested = changes.rover_dt_s > SLOW_S and tested.redundancy < 1
     for k in range(len(out)):
-        out[k] = untested or heard[0, k] or heard[1, k]
+        out[k] = untested or heard[0][k] or heard[1][k]
         out[k] = out[k] or (by_rover and abs(rover_m[k]) > changes.rover_threshold_m[k])
         out[k] = out[k] or (by_base and abs(base_m[k]) > changes.base_threshold_m[k])
-    return out
 
 
 @kernel_in_place
@@ -368,10 +374,11 @@ def _judge_return(
         verdicts.slip[k] = LOST
 
 
-@kernel
+@kernel_in_place
 def _follow_absent(history: Matrix, place: Indices, times_s: Vector, changes: Changes, tested: Tested) -> None:
     """Add this step of both receivers to those that the phases which are not here have missed; NaN where a step is not known."""
-    present = np.zeros(len(history), np.bool_)
+    present = scratch_flags(len(history))
+    present[:] = False
     for k in range(len(place)):
         if place[k] >= 0:
             present[place[k]] = True

@@ -61,6 +61,14 @@ def new_filter() -> Filter:
     return Filter(np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), np.zeros(0, np.int64), np.zeros((0, HISTORY)))
 
 
+def filter_at(baseline_ecef_m: Vector, sigmas: Vector) -> Filter:
+    """Return a filter without keyed states that stands there, with these sigmas of position, velocity and acceleration."""
+    f = new_filter()
+    f.x[:3] = baseline_ecef_m
+    f.P.ravel()[:: DYNAMIC + 1] = (sigmas * sigmas).repeat(3)
+    return f
+
+
 @kernel
 def use_keys(f: Filter, current: Indices, time_s: float, maximum_gap_s: float) -> Filter:
     """Return the filter with room for the current keys (sorted), without those that were not seen for too long."""

@@ -12,14 +12,14 @@ from rtkmesh.models.single import Located, Plain
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed
 from rtkmesh.rtk.crossing import named
-from rtkmesh.rtk.relative import NOT_FINITE, SOLVED, Known, Setup, Solved, solve_pair, walks_of
+from rtkmesh.rtk.relative import SOLVED, UNCLEAR, Known, Setup, Solved, solve_pair, walks_of
 from rtkmesh.rtk.report import FIGURES
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, SEED_MOVING, Filter
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-ASTRAY: Final = NOT_FINITE + 1  # beside those of ``relative``: the filters must begin anew
+ASTRAY: Final = UNCLEAR + 1  # beside those of ``relative``: the filters must begin anew
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
 
 

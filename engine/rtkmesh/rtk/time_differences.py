@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -61,18 +61,19 @@ def no_motion(count: int) -> Motion:
     return Motion(np.full(count, np.nan), np.zeros(_UNKNOWNS), np.full((_UNKNOWNS, _UNKNOWNS), np.nan))
 
 
-@kernel
+@kernel_in_place
 def time_difference_test(change_m: Vector, threshold_m: Vector, voices: Voices, found: Motion) -> int:
     """Fit motion and clock to phase changes and write what was found; return the redundancy of the inliers, or UNTESTED.
 
     ``change_m`` (n, NaN: none) are changes of observed minus modelled phase. A residual beyond ``threshold_m`` is a slip.
     """
-    weight, unknowns = np.zeros(len(change_m)), _UNKNOWNS if voices.moving else 1
-    found.residual_m[:], found.step_m[:], found.cov_m2[:, :] = np.nan, 0.0, np.nan
+    weight, unknowns = scratch(len(change_m)), _UNKNOWNS if voices.moving else 1
+    weight[:], found.residual_m[:], found.step_m[:], found.cov_m2[:, :] = 0.0, np.nan, 0.0, np.nan
     tested = _voting(change_m, voices.votes, weight)
     if tested < unknowns + 1 or np.sum(weight) < unknowns:
         return UNTESTED
-    A, y = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+    A, y = scratch_table(_UNKNOWNS, _UNKNOWNS), scratch(_UNKNOWNS)
+    y[:] = 0.0
     if not voices.moving:
         y[3] = _median(change_m, weight)
     elif not _fit_robustly(change_m, voices, weight, found.residual_m, A, y):
@@ -88,7 +89,8 @@ def time_difference_test(change_m: Vector, threshold_m: Vector, voices: Voices, 
         return UNTESTED
     _residuals(change_m, voices, y, found.residual_m)
     _spread(weight, found.residual_m, used - unknowns, A, found.cov_m2)
-    found.step_m[:] = y
+    for i in range(_UNKNOWNS):
+        found.step_m[i] = y[i]
     return used - unknowns
 
 
@@ -103,10 +105,12 @@ def _voting(change_m: Vector, votes: NDArray[np.bool_], weight: Vector) -> int:
     return tested
 
 
-@kernel
+@kernel_in_place
 def _fit_robustly(change_m: Vector, voices: Voices, voting: Vector, residual_m: Vector, A: Matrix, y: Vector) -> bool:
     """Fit by least squares, re-weighted towards the L1 norm; False if singular."""
-    weight = voting.copy()
+    weight = scratch(len(voting))
+    for k in range(len(voting)):
+        weight[k] = voting[k]
     for _ in range(_ITERATIONS):
         if not _fit(change_m, voices, weight, A, y):
             return False
@@ -179,45 +183,49 @@ def _surprise(voices: Voices, y: Vector) -> float:
     return sqrt((y[0] - voices.expected[0]) ** 2 + (y[1] - voices.expected[1]) ** 2 + (y[2] - voices.expected[2]) ** 2) / voices.expected[3]
 
 
-@kernel
+@kernel_in_place
 def _seek_consent(change_m: Vector, voices: Voices, voting: Vector, threshold_m: Vector, residual_m: Vector, A: Matrix, y: Vector) -> None:
     """Try the motions that four satellites determine; keep the residuals of the one that most phases and the Dopplers agree with."""
-    phases = _one_each(voices.satellite, voting)
-    if phases.shape[1] <= _UNKNOWNS:
+    phases = scratch_indices(2 * len(voting))
+    satellites = _one_each(voices.satellite, voting, phases)
+    if satellites <= _UNKNOWNS:
         return
-    trial, weight = residual_m.copy(), np.zeros(len(voting))
+    trial, weight = scratch(len(voting)), scratch(len(voting))
     best, state = _disagreement(residual_m, threshold_m, voting, voices, _surprise(voices, y)), 1
+    four = scratch_indices(_UNKNOWNS)
     for band in range(2):
-        four = np.arange(_UNKNOWNS)
+        for i in range(_UNKNOWNS):
+            four[i] = i
         for _ in range(_TRIES):
             weight[:] = 0.0
             for i in range(_UNKNOWNS):
-                weight[phases[band, four[i]]] = 1.0
+                weight[phases[band * len(voting) + four[i]]] = 1.0
             if _fit(change_m, voices, weight, A, y):
                 _residuals(change_m, voices, y, trial)
                 cost = _disagreement(trial, threshold_m, voting, voices, _surprise(voices, y))
                 if cost < best - _BETTER:
                     best = cost
-                    residual_m[:] = trial
-            if phases.shape[1] > _ENUMERATED:
-                state = _random_subset(four, phases.shape[1], state)
-            elif not _next_subset(four, phases.shape[1]):
+                    for k in range(len(trial)):
+                        residual_m[k] = trial[k]
+            if satellites > _ENUMERATED:
+                state = _random_subset(four, satellites, state)
+            elif not _next_subset(four, satellites):
                 break
 
 
-@kernel
-def _one_each(satellite: NDArray[np.int16], voting: Vector) -> Indices:
-    """Return (2 x satellites) the first and the last voting phase of each satellite."""
-    out, count, last = np.empty((2, len(satellite)), np.int64), 0, -1
+@kernel_in_place
+def _one_each(satellite: NDArray[np.int16], voting: Vector, out: Indices) -> int:
+    """Write the first voting phase of each satellite, in the second half of ``out`` the last one; return how many satellites these are."""
+    count, last = 0, -1
     for k in range(len(satellite)):
         if not voting[k] > 0.0:
             continue
         if satellite[k] != last:
             last = satellite[k]
-            out[0, count] = k
+            out[count] = k
             count += 1
-        out[1, count - 1] = k
-    return out[:, :count]
+        out[len(satellite) + count - 1] = k
+    return count
 
 
 @kernel_in_place
@@ -331,10 +339,10 @@ def _spread(weight: Vector, residual_m: Vector, redundancy: int, A: Matrix, cov_
             cov_m2[i, j] = A[i, j] * unit
 
 
-@kernel
+@kernel_in_place
 def _median(values: Vector, weight: Vector) -> float:
     """Return the median of the values that have a weight (0 if there are none); insertion sort, for they are few."""
-    kept = np.empty(len(values))
+    kept = scratch(len(values))
     n = 0
     for k in range(len(values)):
         if not weight[k] > 0.0:
