@@ -2,7 +2,7 @@
 
 A search whose best vector is not clear may still be clear of most integers: those in which the best one and all that come before a vector
 of much lower odds are equal. Combinations that are as sure but no double differences of two signals (the most precise ambiguities of the
-decorrelated space, Teunissen 1999) place the rover in centimetres where these do, and nowhere else.
+decorrelated space, Teunissen 1999) cannot be held, and hardly ever place the rover in centimetres where these do not.
 """
 
 from math import sqrt
