@@ -1,6 +1,6 @@
 """Which integers are believed when none are held: from one clear search, from a subset, or from searches that keep agreeing."""
 
-from math import log, sqrt
+from math import isfinite, log, sqrt
 from typing import Final
 
 import numpy as np
@@ -10,6 +10,7 @@ from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.models.odds import NORM_LIMIT
 from rtkmesh.rtk.ambiguity import Candidates, Search, compare_integers, search, take
+from rtkmesh.rtk.common_integers import search_common
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
     ACCEPT_AT_ONCE,
@@ -84,11 +85,15 @@ def try_new(
             if with_glonass.odds > best.odds:
                 best, penalty, wide, needed = with_glonass, log(SUBSETS), True, max(asked, ACCEPT_AT_ONCE)
                 level = flat if slopeless else f
+    far2 = (f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2) / FAR_M**2
+    if far2 <= 1.0 and not isfinite(setup.length_m) and not _strong(best, penalty + space, setup, needed):
+        common = search_common(f, candidates, setup.confidence * asked + log(SUBSETS) + space)
+        if common.resolved:
+            best, penalty, wide, needed = common, log(SUBSETS), False, asked
     if not best.resolved or len(best.pairs) < setup.minimum_ambiguities:
         memory[STREAK_EPOCHS] = 0.0
         return
     _follow(f, best, memory, time_s)
-    far2 = (f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2) / FAR_M**2
     few = far2 > 1.0 and len(best.pairs) < FAR_COUNT
     lasting_s = STREAK_S if len(best.pairs) >= WEAK_COUNT else WEAK_STREAK_S
     if few:
