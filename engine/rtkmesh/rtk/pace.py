@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.around import FULL_STEP_S
+from rtkmesh.rtk.bookkeeping import is_finite
 from rtkmesh.rtk.filter import predict_motion
-from rtkmesh.rtk.velocity import invert3
+from rtkmesh.rtk.velocity import invert3_into
 from rtkmesh.rtk.walk import WALK_COFACTOR, WALK_FREEDOM, WALK_M, WALK_S, WALK_SQUARES_M2
 
 Vector = NDArray[np.float64]
@@ -43,8 +44,8 @@ PRIOR_DOF: Final = 2.0  # what that is worth
 EPOCH_PRIOR_DOF: Final = 12.0  # of what is remembered against the epoch's own residuals
 MEMORY_DOF: Final = 200.0  # ten seconds under open sky
 # What lasts in time differences, satellites' clocks and the ionosphere, as a part of their sigma, over a second or the interval where that
-# is longer: no mean over epochs takes it away. Static recordings: 0.7 to 0.8 for normalised squares of 1.
-LASTING: Final = 0.75
+# is longer: no mean over epochs takes it away. Static recordings, at 1 Hz: normalised squares of 0.4 to 1.5 (with 0.7: 0.45 to 1.7).
+LASTING: Final = 0.8
 SWAY_PRIOR_DOF: Final = 12.0  # that Dopplers and walks agree
 SWAY_MEMORY_DOF: Final = 60.0  # 20 s
 LIMIT: Final = 16.3  # chi-square of 3 degrees of freedom at 0.1 %
@@ -138,6 +139,8 @@ def follow(
     if by_walk:
         _add_lasting(cov_m2ps2, told.walk, memory[SQUARES_M2] / memory[FREEDOM], dt)
     _stand_here(x, P, memory, told.walk, by_walk)
+    if not is_finite(x, P):
+        _begin(x, P, memory)
     return memory[UNSEEN_S] <= GAP_S
 
 
@@ -214,19 +217,21 @@ def _tried(x: Vector, P: Matrix, memory: Vector, told: Told, known: tuple[float,
     count, dt, chi2 = len(MOTIONS), known[0], np.zeros(len(MOTIONS))
     states, covs, weight = np.empty((count, _STATES)), np.empty((count, _STATES, _STATES)), np.empty(count)
     R, D = _place_noise(told.walk, known[2], memory[FIRST]), told.velocity_cov_m2ps2.copy()
+    desk, place_m = _desk(), told.walk[WALK_M : WALK_M + 3]
     sway = max(memory[SWAY_CHI2] / memory[SWAY_FREEDOM], 1.0) if has[0] else 1.0
     predict_motion(x, P, dt, DECAY_S, np.zeros((3, 3)))
     for k in range(count):
-        states[k], covs[k] = x, P
-        _disturb(covs[k], dt, MOTIONS[k] * known[1])
+        state, cov = states[k], covs[k]
+        state[:], cov[:, :] = x, P
+        _disturb(cov, dt, MOTIONS[k] * known[1])
         weight[k] = log(memory[k] + (1.0 - exp(-dt / CHANGE_S)) * (1.0 / count - memory[k]))
         if k >= MOVING:
-            weight[k] += _log_standing(states[k], covs[k])
+            weight[k] -= 0.5 * _misfit(state, cov, _VELOCITY, desk.nothing, desk.slow, desk)[0]
         if has[0]:
-            weight[k] += _observe(states[k], covs[k], _PLACE, told.walk[WALK_M : WALK_M + 3], R, (k == 0, 1.0))[1]
+            weight[k] += _observe(state, cov, _PLACE, place_m, R, (k == 0, 1.0), desk)[1]
         if has[1]:
-            loosened = sway if k < MOVING else 1.0
-            chi2[k], likely = _observe(states[k], covs[k], _VELOCITY, told.velocity_mps, D, (k == 0, loosened))
+            way = (k == 0, sway if k < MOVING else 1.0)
+            chi2[k], likely = _observe(state, cov, _VELOCITY, told.velocity_mps, D, way, desk)
             weight[k] += likely
     _weigh(weight, memory)
     _join(states, covs, memory, x, P)
@@ -257,56 +262,77 @@ def _disturb(P: Matrix, dt_s: float, density: float) -> None:
         P[v, i], P[a, i], P[a, v] = P[i, v], P[i, a], P[v, a]
 
 
+class Desk(NamedTuple):
+    """Room to work in: the covariance of three states that were seen against the prediction, its inverse, and the rows of these states;
+    nothing (3), and the covariance of what stands.
+    """
+
+    S: Matrix
+    inverse: Matrix
+    rows: Matrix
+    nothing: Vector
+    slow: Matrix
+
+
 @kernel
-def _log_standing(x: Vector, P: Matrix) -> float:
-    """Return the logarithm of how well this velocity is that of something that stands (1: it is zero)."""
-    none, slow = np.zeros(3), np.zeros((3, 3))
+def _desk() -> Desk:
+    slow = np.zeros((3, 3))
     for i in range(3):
         slow[i, i] = STANDING_MPS**2
-    return -0.5 * _misfit(x, P, _VELOCITY, none, slow)[0]
+    return Desk(np.empty((3, 3)), np.empty((3, 3)), np.empty((3, _STATES)), np.zeros(3), slow)
 
 
-@kernel
-def _observe(x: Vector, P: Matrix, first: int, seen: Vector, R: Matrix, way: tuple[bool, float]) -> tuple[float, float]:
+@kernel_in_place
+def _observe(x: Vector, P: Matrix, first: int, seen: Vector, R: Matrix, way: tuple[bool, float], desk: Desk) -> tuple[float, float]:
     """Update by three states from ``first`` on that were seen with covariance R; return chi-square and the logarithm of the likelihood.
 
     ``way``: whether this is the widest motion: if even that contradicts what was seen, R is scaled (written to) until it does not; and by
     how many times the covariance of what was seen against the prediction is larger than they say, for the prediction's part.
     """
-    chi2, spread = _misfit(x, P, first, seen, R)
+    chi2, spread = _misfit(x, P, first, seen, R, desk)
     if way[0] and chi2 > LIMIT:
-        R[:, :] *= chi2 / LIMIT
-        chi2, spread = _misfit(x, P, first, seen, R)
-    for i in range(3):
-        for j in range(3):
-            P[first + i, first + j] += (way[1] - 1.0) * (P[first + i, first + j] + R[i, j])
-    _update(x, P, first, seen, R)
+        for i in range(3):
+            for j in range(3):
+                R[i, j] *= chi2 / LIMIT
+        chi2, spread = _misfit(x, P, first, seen, R, desk)
+    if way[1] > 1.0:
+        for i in range(3):
+            for j in range(3):
+                P[first + i, first + j] += (way[1] - 1.0) * desk.S[i, j]
+                desk.inverse[i, j] /= way[1]
+    _update(x, P, first, seen, desk)
     return chi2, -0.5 * (chi2 + spread)
 
 
-@kernel
-def _misfit(x: Vector, P: Matrix, first: int, seen: Vector, R: Matrix) -> tuple[float, float]:
+@kernel_in_place
+def _misfit(x: Vector, P: Matrix, first: int, seen: Vector, R: Matrix, desk: Desk) -> tuple[float, float]:
     """Return chi-square of three states that were seen with covariance R, and the logarithm of the determinant of its covariance."""
-    S, chi2 = P[first : first + 3, first : first + 3] + R, 0.0
-    inverse = invert3(S)
+    S, inverse, chi2 = desk.S, desk.inverse, 0.0
+    for i in range(3):
+        for j in range(3):
+            S[i, j] = P[first + i, first + j] + R[i, j]
+    determinant = invert3_into(S, inverse)
     for i in range(3):
         for j in range(3):
             chi2 += (seen[i] - x[first + i]) * inverse[i, j] * (seen[j] - x[first + j])
-    square = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-    return chi2, log(square / inverse[2, 2])
+    return chi2, log(determinant)
 
 
-@kernel
-def _update(x: Vector, P: Matrix, first: int, seen: Vector, R: Matrix) -> None:
+@kernel_in_place
+def _update(x: Vector, P: Matrix, first: int, seen: Vector, desk: Desk) -> None:
     """Update states and covariance by three states that were seen (Kalman 1960), and keep the covariance symmetric."""
-    rows, d = P[first : first + 3].copy(), seen - x[first : first + 3]
-    inverse, gain = invert3(rows[:, first : first + 3] + R), np.zeros(3)
+    inverse, rows = desk.inverse, desk.rows
+    for i in range(3):
+        for j in range(_STATES):
+            rows[i, j] = P[first + i, j]
+    d0, d1, d2 = seen[0] - x[first], seen[1] - x[first + 1], seen[2] - x[first + 2]
     for i in range(_STATES):
-        for j in range(3):
-            gain[j] = rows[0, i] * inverse[0, j] + rows[1, i] * inverse[1, j] + rows[2, i] * inverse[2, j]
-            x[i] += gain[j] * d[j]
+        k0 = rows[0, i] * inverse[0, 0] + rows[1, i] * inverse[1, 0] + rows[2, i] * inverse[2, 0]
+        k1 = rows[0, i] * inverse[0, 1] + rows[1, i] * inverse[1, 1] + rows[2, i] * inverse[2, 1]
+        k2 = rows[0, i] * inverse[0, 2] + rows[1, i] * inverse[1, 2] + rows[2, i] * inverse[2, 2]
+        x[i] += k0 * d0 + k1 * d1 + k2 * d2
         for j in range(i, _STATES):
-            P[i, j] -= gain[0] * rows[0, j] + gain[1] * rows[1, j] + gain[2] * rows[2, j]
+            P[i, j] -= k0 * rows[0, j] + k1 * rows[1, j] + k2 * rows[2, j]
             P[j, i] = P[i, j]
 
 
