@@ -29,10 +29,10 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Cube = NDArray[np.float64]
 
-# Density of white jerk of each motion as a part of the options'. At 1 Hz the velocity is within 2.7, 0.9, 0.3 and 0.15 m/s (each axis) of
-# what walks say: the least is what a walker's sway or a hull does between two epochs. The others stand.
-MOTIONS: Final = (10.0, 1.0, 0.1, 0.03, 1e-6, 1e-11)
-MOVING: Final = 4  # of them move
+# Density of white jerk of each motion as a part of the options'. At 1 Hz the velocity is within 2.7, 0.9 and 0.15 m/s (each axis) of what
+# walks say: the least is what a walker's sway or a hull does between two epochs. The others stand, or begin to move so slowly.
+MOTIONS: Final = (10.0, 1.0, 0.03, 1e-3, 1e-6, 1e-11)
+MOVING: Final = 3  # of them move
 STANDING_MPS: Final = 0.03  # what stands is no faster
 CHANGE_S: Final = 100.0  # in the mean after so long a rover begins another motion
 DECAY_S: Final = 5.0  # accelerations last seconds
