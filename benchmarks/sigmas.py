@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
 """Are published covariances honest? Normalised errors squared e' P^-1 e / 3 of fixes, floats, velocities: 1 is honest, more is too sure.
 
-  sigmas.py [--data DIR] [--runs N] [--seed S] [--quick] [--json]
+  sigmas.py [--data DIR] [--runs N] [--seed S] [--quick] [--only positions|velocities] [--json]
 
 Simulated: runs of the campaign's open-sky families; every position against the truth. Recorded: static pairs against their known position
 or, where there is none, against their own mean fix; the mean error of the fixes is taken away first where the recordings' page says that
 antenna phase centres differ (*) or that the truth is such a mean (†). Floats are those of a solver without integers (AmbiguityMode.OFF).
 A float's error stays: a whole recording without integers is one sample of three numbers, whose mean is 0.1 to 2.6 (90 %) if all is honest.
-So on recordings floats begin anew every 150 s (or 20 epochs), as long as simulated runs are. Velocities are those of all epochs with
-Dopplers, whatever their status; recordings stand still, but are solved as if they moved. E, N, U: root mean square of error over
-sigma per axis. Errors of neighbouring epochs hang together: the mean is as good as a few dozens of independent ones.
+So on recordings floats begin anew every 150 s (or 20 epochs), as long as simulated runs are. Velocities are those of all epochs with a
+relative solution, whatever its status; recordings stand still, but are solved as if they moved; simulated rovers are also solved at 5 Hz,
+and at 1 Hz without their Dopplers. E, N, U: root mean square of error over sigma per axis. Errors of neighbouring epochs hang together: the
+mean is as good as a few dozens of independent ones.
 """
 
 import argparse
@@ -26,12 +27,13 @@ from numpy.typing import NDArray
 import kernel_cache  # noqa: F401  first of all
 import recorded
 import slips
-from campaign import simulated_run
+from campaign import Rates, simulated_run
 from cases import Case, data_folder, load
 from families import FAMILIES, Family
 from results import table
+from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.frames import enu_from_ecef_at
-from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
+from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
 from simulated import WRONG_M, Simulated, solve
 
@@ -41,7 +43,10 @@ Vector = NDArray[np.float64]
 RUNS: Final = 20
 QUICK_RUNS: Final = 4
 SIMULATED: Final = ("open", "open_survey_l1", "open_f9p_l1", "open_m8_l1")
-MOVING: Final = (*SIMULATED, "urban", "forest")  # families of which velocities are judged too
+MOVING: Final = (*SIMULATED, "urban", "forest", "tunnel", "moving_base")  # families of which velocities are judged too
+PACES: Final = (("velocity", 1, True), ("velocity at 5 Hz", 5, True), ("velocity without Dopplers", 1, False))
+POSITIONS, VELOCITIES = "positions", "velocities"
+RELATIVE: Final = (Status.FIX, Status.FLOAT, Status.DGPS)
 # Static recordings, and why their mean error is taken away ("" : it is not).
 RECORDED: Final = {
     "tokyo_static_l125": "†",
@@ -65,6 +70,7 @@ COLUMNS: Final = (
     "U",
     "sigma 3D (m, m/s), median",
     "error 3D (m, m/s), median",
+    "root mean square",
 )
 PIECE_S: Final = 150.0  # of a recording, after which floats begin anew
 PIECE_EPOCHS: Final = 20  # at least
@@ -114,6 +120,7 @@ def figures(found: Errors) -> Row:
         "axes": [float(v) for v in per_axis],
         "sigma_m": float(np.median(np.linalg.norm(sigma_m, axis=1))),
         "error_m": float(np.median(np.linalg.norm(found.error, axis=1))),
+        "rms_m": float(np.sqrt(np.mean(np.sum(found.error**2, axis=1)))),
     }
 
 
@@ -132,24 +139,30 @@ def of_run(simulated: Simulated, mode: AmbiguityMode) -> Errors:
     return errors(found, np.array([simulated.rover[k].position_ecef_m for k in chosen]).reshape(-1, 3))
 
 
-def of_velocities(family: Family, seed: int, runs: int) -> Errors:
-    """Return the errors of a family's velocities."""
-    return joined([_velocities_of(simulated_run(family, seed, run)) for run in range(runs)])
+def of_velocities(family: Family, seed: int, runs: int, rate_hz: int = 1, dopplers: bool = True) -> Errors:
+    """Return the errors of a family's velocities at a rate, of rovers with Dopplers or without."""
+    rates = Rates(rate_hz)
+    return joined([_velocities_of(simulated_run(family, seed, run, rates), dopplers) for run in range(runs)])
 
 
-def _velocities_of(simulated: Simulated) -> Errors:
-    pairs = zip(solve(simulated), simulated.rover, strict=True)
-    known = [(s, seen) for s, seen in pairs if s is not None and np.isfinite(s.velocity_ecef_mps).all()]
+def _velocities_of(simulated: Simulated, dopplers: bool) -> Errors:
+    run = simulated if dopplers else replace(simulated, rover_epochs=[_without_dopplers(e) for e in simulated.rover_epochs])
+    known = [(s, seen) for s, seen in zip(solve(run), simulated.rover, strict=True) if s is not None and _tells_velocity(s)]
     return velocity_errors([s for s, _ in known], np.array([seen.velocity_ecef_mps for _, seen in known]).reshape(-1, 3))
 
 
+def _without_dopplers(epoch: Epoch) -> Epoch:
+    return replace(epoch, doppler_hz=np.full(len(epoch.satellite), np.nan))
+
+
+def _tells_velocity(solution: Solution) -> bool:
+    return solution.status in RELATIVE and bool(np.isfinite(solution.velocity_ecef_mps).all())
+
+
 def of_recorded_velocities(case: Case) -> Errors:
-    """Return the errors of the velocities of a static pair, of epochs in which there are any by Doppler."""
-    options = RtkOptions(systems=case.systems, frequencies=case.frequencies)
-    standing = recorded.solutions(case, replace(options, mode=Mode.SINGLE))
-    by_doppler = [np.isfinite(s.velocity_ecef_mps).all() for s in standing]
-    found = zip(recorded.solutions(case, options), by_doppler, strict=True)
-    return velocity_errors([s for s, ok in found if ok], np.zeros(3))
+    """Return the errors of the velocities of a static pair."""
+    found = recorded.solutions(case, RtkOptions(systems=case.systems, frequencies=case.frequencies))
+    return velocity_errors([s for s in found if _tells_velocity(s)], np.zeros(3))
 
 
 def of_recording(case: Case, offset: str, mode: AmbiguityMode) -> tuple[Errors, int]:
@@ -179,21 +192,22 @@ def joined(parts: Sequence[Errors]) -> Errors:
     return Errors(np.concatenate([p.error for p in parts]), np.concatenate([p.cov for p in parts]))
 
 
-def measured(data: Path | None, runs: int, seed: int, names: Sequence[str]) -> Iterator[Row]:
-    """Yield a row per kind of data and of solution."""
+def measured(data: Path | None, runs: int, seed: int, names: Sequence[str], kinds: Sequence[str]) -> Iterator[Row]:
+    """Yield a row per kind of data and of solution, of positions, velocities or both."""
     for family in FAMILIES:
-        if family.name in SIMULATED:
+        if family.name in SIMULATED and POSITIONS in kinds:
             for title, mode in (("fix", AmbiguityMode.CONTINUOUS), ("float", AmbiguityMode.OFF)):
                 yield {"data": f"simulated: {family.title}", "kind": title} | figures(of_simulation(family, seed, runs, mode))
-        if family.name in MOVING:
-            yield {"data": f"simulated: {family.title}", "kind": "velocity"} | figures(of_velocities(family, seed, runs))
+        for title, rate_hz, dopplers in PACES if family.name in MOVING and VELOCITIES in kinds else ():
+            found = figures(of_velocities(family, seed, runs, rate_hz, dopplers))
+            yield {"data": f"simulated: {family.title}", "kind": title} | found
     for case in load(data, list(names)) if data else []:
-        for title, mode in (("fix", AmbiguityMode.CONTINUOUS), ("float", AmbiguityMode.OFF)):
+        for title, mode in (("fix", AmbiguityMode.CONTINUOUS), ("float", AmbiguityMode.OFF)) if POSITIONS in kinds else ():
             found, wrong = of_recording(case, RECORDED[case.name], mode)
             row = figures(found)
             yield {"data": f"{case.name}{RECORDED[case.name]}", "kind": title, "left_out": wrong} | row
-        if (found := of_recorded_velocities(case)).cov.size:
-            yield {"data": case.name, "kind": "velocity"} | figures(found)
+        if VELOCITIES in kinds:
+            yield {"data": case.name, "kind": "velocity"} | figures(of_recorded_velocities(case))
 
 
 def page(rows: Sequence[Row]) -> str:
@@ -206,7 +220,7 @@ def _cells(row: Row) -> list[str]:
         return [row["data"], row["kind"], "0", *[""] * (len(COLUMNS) - 3)]
     kind = row["kind"] + (f", without {row['left_out']} wrong" if row.get("left_out") else "")
     numbers = [f"{v:.2f}" for v in (row["mean"], row["trimmed"], *row["axes"])]
-    return [row["data"], kind, str(row["number"]), *numbers, f"{row['sigma_m']:.4f}", f"{row['error_m']:.4f}"]
+    return [row["data"], kind, str(row["number"]), *numbers, f"{row['sigma_m']:.4f}", f"{row['error_m']:.4f}", f"{row['rms_m']:.4f}"]
 
 
 def main() -> int:
@@ -215,13 +229,15 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=0, help=f"simulated runs per family (default {RUNS})")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs, two recordings")
+    parser.add_argument("--only", choices=(POSITIONS, VELOCITIES), help="of these alone")
     parser.add_argument("--json", action="store_true", help="all figures, for programs")
     options = parser.parse_args()
     data = options.data or data_folder()
     if data is None:
         print("sigmas: no recordings (RTKMESH_DATA): simulation only", file=sys.stderr)
     runs = options.runs or (QUICK_RUNS if options.quick else RUNS)
-    rows = list(measured(data, runs, options.seed, QUICK if options.quick else tuple(RECORDED)))
+    kinds = (options.only,) if options.only else (POSITIONS, VELOCITIES)
+    rows = list(measured(data, runs, options.seed, QUICK if options.quick else tuple(RECORDED), kinds))
     print(json.dumps(rows, indent=1) if options.json else page(rows))
     return 0
 

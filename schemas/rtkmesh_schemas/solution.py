@@ -12,6 +12,8 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     ``status``: 0 none, 1 fix, 2 float, 4 dgps, 5 single (RTKLIB's Q); ``status_name`` the same in words; ``reason`` says why
     not better. ``age_s``: rover minus base epoch; ``waited_s``: from the epoch's arrival to its solving; ``solve_ms``: compute.
     ``baseline`` is rover minus base. Heights are ellipsoidal. ``received_mono_ns``/``published_mono_ns``: this host's clock.
+    ``velocity``: of the rover's antenna (of a moving base too), at the epoch's instant, from phases and Dopplers; ``float_velocity`` is
+    the filter's (of a moving base: of the baseline), as ``acceleration`` is.
 
     ``fix_probability``: that the integers of a fix are right, 0 without a fix. Protection levels are exceeded with the configured risk
     per epoch under stated assumptions (infinite: nothing bounds the error). ``integrity``: ok, failed, unavailable, with

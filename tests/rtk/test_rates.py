@@ -9,12 +9,13 @@ from rtkmesh.rtk.around import FULL_STEP_S, Past
 from rtkmesh.rtk.code_places import PLACE_SQUARES
 from rtkmesh.rtk.memory import new_memory
 from rtkmesh.rtk.noise import DOF, PHASE, SQUARES, learn_codes, learn_phases, new_code_scale
+from rtkmesh.rtk.walk import no_walk
 
 TRIAL = np.array([[6.0, 2.0, 0.0, 3.0, 0.0, 0.0, 0.0], [9.0, 4.0, 0.0, 5.0, 0.0, 0.0, 0.0]])
 
 
 def new_past() -> Past:
-    return Past(new_memory(), np.full(7, nan), new_code_scale(), new_code_scale())
+    return Past(new_memory(), np.full(7, nan), new_code_scale(), new_code_scale(), no_walk())
 
 
 def teach(past: Past, step_s: float, epochs: int) -> None:

@@ -29,6 +29,7 @@ class Past(NamedTuple):
     prediction: Vector
     scale: Matrix
     informed_scale: Matrix
+    walk: Vector
 
     def copy(self) -> "Past":
         """Return a past of its own."""
@@ -51,7 +52,7 @@ class Past(NamedTuple):
 
     def forget(self) -> None:
         """Forget integers and predictions; what was learned of the receivers stays."""
-        self.prediction[:] = nan
+        self.prediction[:], self.walk[:] = nan, nan
         forget(self.memory)
 
 

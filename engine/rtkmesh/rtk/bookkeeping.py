@@ -325,7 +325,7 @@ def systems_of(satellite: NDArray[np.int16]) -> int:
 
 class Arranged(NamedTuple):
     """A filter laid out for an epoch: its places, and the rover's motion and clock (m, 4) against its models by time differences of the
-    phases.
+    phases, with covariance and fit (``time_differences.Motion``).
     """
 
     filter: Filter
@@ -333,6 +333,7 @@ class Arranged(NamedTuple):
     redundancy: int
     motion_m: Vector
     motion_cov_m2: Matrix
+    motion_fit: Vector
 
 
 @kernel
@@ -361,7 +362,7 @@ def lay_out(
     # Between antennas that move together lengths and shapes choose integers by the baseline that these give: it must not look less sure.
     by_phase = np.ones(n) if slips.base_moves else phase_inflations(f.history, ambiguity, times_s[0])
     layout = Layout(ambiguity, ionosphere, place_of(f.keys, ZENITH_KEY), place_of(f.keys, SLOPE_KEY), inflation, by_phase)
-    return Arranged(f, layout, tested.redundancy, tested.rover.step_m, tested.rover.cov_m2)
+    return Arranged(f, layout, tested.redundancy, tested.rover.step_m, tested.rover.cov_m2, tested.rover.fit)
 
 
 @kernel_in_place

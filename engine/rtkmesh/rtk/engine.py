@@ -35,14 +35,16 @@ from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.options import AmbiguityMode, Direction, Mode, RtkOptions
 from rtkmesh.rtk.overview import Overview, overview_of
+from rtkmesh.rtk.pace import Pace, Told
 from rtkmesh.rtk.rate_errors import RateErrors
 from rtkmesh.rtk.relative import FEW_COMMON, NOT_FINITE, SOLVED, Known, Setup, Solved, differences_of, solve
-from rtkmesh.rtk.report import FIGURES, IS_FIXED, Circumstances, from_single, report
+from rtkmesh.rtk.report import FIGURES, IS_FIXED, Circumstances, Moved, from_single, motion_of, report
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.setup import setup_of
 from rtkmesh.rtk.solution import Reason, SatelliteTable, Solution
 from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, FilterState, filter_at, length_m
 from rtkmesh.rtk.step import ASTRAY, Step, move_on, take_step
+from rtkmesh.rtk.walk import no_walk
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -75,8 +77,9 @@ class Rtk:
         self.direction = direction
         self._sense = 1.0 if direction is Direction.FORWARD else -1.0  # of the filter's clock against GPS time
         self._state: FilterState | None = None
-        self._past = Past(new_memory(), np.full(7, nan), new_code_scale(), new_code_scale())
+        self._past = Past(new_memory(), np.full(7, nan), new_code_scale(), new_code_scale(), no_walk())
         self._rates = RateErrors(), RateErrors()  # of the rover and of a moving base
+        self._pace = Pace()
         self._resets = 0
         self._absurd = 0
         self._was_fixed = False
@@ -117,7 +120,7 @@ class Rtk:
         other = Rtk(self.options, self.direction)
         other._klobuchar, other._point = self._klobuchar, self._point
         other._use(self._setup)
-        other._rates = self._rates[0].copy(), RateErrors()
+        other._rates, other._pace = (self._rates[0].copy(), RateErrors()), self._pace.copy()
         other._resets, other._was_fixed = self._resets, self._was_fixed
         if self._state is not None and self.options.mode is not Mode.MOVING_BASE:
             sigma_m = 0.0 if self.options.mode is Mode.FIXED else float(SEED_MOVING[0])
@@ -278,6 +281,7 @@ class Rtk:
 
     def _relative(self, around: Around) -> Solution:
         rover, base, single = around.rover, around.bases[0], around.singles[0]
+        self._past.walk[:] = nan
         solved = self._solved_from_past(around) or self._solved_from_here(around)
         state, age_s = self._state, rover.time - base.time
         if state is None or solved is None:
@@ -294,9 +298,21 @@ class Rtk:
         circumstances = Circumstances(
             age_s, self._moves, self._sense, around.singles[1], factors, around.satellites, self._resets, self.options
         )
-        solution = report(rover, single, around.base_ecef_m, solved, circumstances)
+        motion = self._followed(around, motion_of(single, solved.x, solved.P, circumstances))
+        solution = report(rover, single, around.base_ecef_m, solved, motion, circumstances)
         self._satellites = solution.satellites
         return solution
+
+    def _followed(self, around: Around, motion: Moved) -> Moved:
+        """Return the motion with the velocity that walks and Dopplers say; of a moving base its Dopplers are among these."""
+        if not self._moves or self._is_instantaneous:
+            return motion
+        rover, single, sense = around.rover, around.singles[0], self._sense
+        told = Told(self._past.walk, sense * single.velocity_mps[:3], self._rates[0].factor * single.velocity_cov_m2ps2)
+        if self._base_moves:
+            told = Told(self._past.walk, sense * motion.velocity_mps, np.ascontiguousarray(motion.velocity_cov_m2ps2))
+        followed = self._pace.follow(rover.time, single.clock_s, told, self._motion.horizontal_mps2, sense)
+        return motion if followed is None else Moved(*followed, *motion[2:])
 
     def _solved_from_past(self, around: Around) -> Solved | None:
         """Return the relative solution of filters that are moved on to the epoch; None where there are none, or they must begin anew."""
@@ -327,7 +343,7 @@ class Rtk:
         base_s, channel, klobuchar = self._clock_s(state, base.time), around.issues.channel, self._point.klobuchar
         known = Known(
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
-            past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s, least_odds,
+            past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s, past.walk, least_odds,
         )  # fmt: skip
         step_s = state.time_s - state.rover_s
         learned = past.learned(step_s)

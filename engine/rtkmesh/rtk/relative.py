@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
@@ -28,10 +28,12 @@ from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_p
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.separation import codes_alone
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
-from rtkmesh.rtk.slips import SlipSetup
+from rtkmesh.rtk.slips import SLOW_S, SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
+from rtkmesh.rtk.time_differences import unit_variance_m2
 from rtkmesh.rtk.update import update
 from rtkmesh.rtk.validation import TOO_RISKY, TOO_UNCERTAIN, decide, fix, not_resolved, withheld
+from rtkmesh.rtk.walk import WALK_COFACTOR, WALK_FREEDOM, WALK_M, WALK_S, WALK_SQUARES_M2
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -87,8 +89,8 @@ class Known(NamedTuple):
     ``times_s`` are now rover, now base, last rover, last base on the filter's clock; ``last_model_ecef_m`` is where the rover was taken to
     be in the last epoch; ``prediction`` where the last fix and the motion since put the baseline (m, ECEF), its sigma (m), and the last
     epoch's velocity; the velocity is the Doppler velocity relative to the base. What is not known is NaN. ``codes_s`` is when codes were
-    seen (``code_arcs``). ``least_odds`` are the log odds of integers without which nobody wants the solution; minus infinite: it is wanted
-    in any case.
+    seen (``code_arcs``); ``walk`` is written to (``walk``). ``least_odds`` are the log odds of integers without which nobody wants the
+    solution; minus infinite: it is wanted in any case.
     """
 
     times_s: Vector
@@ -101,6 +103,7 @@ class Known(NamedTuple):
     velocity_cov_m2ps2: Matrix
     informed_scale: Matrix
     codes_s: Matrix
+    walk: Vector
     least_odds: float
 
 
@@ -198,6 +201,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     since_s = since_seen(known.codes_s, d.pairs, np.isfinite(d.table[:, CODE]), time_s)
     arranged = lay_out(before, d, since_s, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
     f, layout = arranged.filter, arranged.layout
+    _note_walk(known, arranged, model_ecef_m, setup.slip)
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     if not outcome.ok or not is_finite(f.x, f.P):
@@ -286,6 +290,23 @@ def expected_step(known: Known, model_ecef_m: Vector, base_moves: bool) -> Vecto
     sigma_mps = min(sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2]), _DOPPLER_SIGMA_MPS)
     out[3] = _STEP_SIGMA_M + dt * (sigma_mps + _JERK_SHARE * sqrt(change))
     return out
+
+
+@kernel_in_place
+def _note_walk(known: Known, arranged: Arranged, model_ecef_m: Vector, slip: SlipSetup) -> None:
+    """Write how far the phases say that the rover has walked since the last epoch, where they do.
+
+    After a long step phases are those of both receivers: then it is the motion of the baseline, and where the base moves none of the rover.
+    """
+    walk, dt = known.walk, known.times_s[0] - known.times_s[2]
+    if arranged.redundancy < 1 or not slip.rover_moves or (slip.base_moves and dt > SLOW_S):
+        return
+    unit_m2 = unit_variance_m2(arranged.motion_fit)
+    walk[WALK_S], walk[WALK_SQUARES_M2], walk[WALK_FREEDOM] = dt, arranged.motion_fit[0], arranged.motion_fit[1]
+    for i in range(3):
+        walk[WALK_M + i] = model_ecef_m[i] - known.last_model_ecef_m[i] + arranged.motion_m[i]
+        for j in range(3):
+            walk[WALK_COFACTOR + 3 * i + j] = arranged.motion_cov_m2[i, j] / unit_m2
 
 
 @kernel

@@ -124,13 +124,21 @@ class Circumstances(NamedTuple):
     options: RtkOptions
 
 
-def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> Solution:
-    """Return the relative solution: fixed where the resolution says so, else float, else differential code."""
+class Moved(NamedTuple):
+    """Velocity (m/s) and acceleration (m/s2), ECEF, and their covariances; NaN where not known."""
+
+    velocity_mps: Vector
+    velocity_cov_m2ps2: Matrix
+    acceleration_mps2: Vector
+    acceleration_cov_m2ps4: Matrix
+
+
+def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", motion: Moved, around: Circumstances) -> Solution:
+    """Return the relative solution: fixed where the resolution says so, else float, else differential code; ``motion`` is published."""
     x, P, numbers = solved.x, solved.P, solved.figures.tolist()  # x and P are this epoch's alone: what is given of them are views
     base_ecef_m = base_ecef_m.copy()
     status = _FIX if numbers[IS_FIXED] else (_FLOAT if numbers[PHASES] >= 4 else _DGPS)
     covariance = solved.position_cov_m2[:3, :3]
-    velocity_mps, velocity_cov_m2ps2, acceleration_mps2, acceleration_cov_m2ps4 = _motion(single, x, P, around)
     integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
     solution = object.__new__(Solution)  # field by field: its own initialiser takes 3 us for so many
     solution.time = rover.time
@@ -138,10 +146,10 @@ def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved",
     solution.reason = _REASON_OF[int(numbers[REASON])]
     solution.position_ecef_m = base_ecef_m + x[:3]
     solution.position_cov_ecef_m2 = covariance if around.base_single is None else covariance + around.base_single.covariance_m2
-    solution.velocity_ecef_mps = velocity_mps
-    solution.velocity_cov_ecef_m2ps2 = velocity_cov_m2ps2
-    solution.acceleration_ecef_mps2 = acceleration_mps2
-    solution.acceleration_cov_ecef_m2ps4 = acceleration_cov_m2ps4
+    solution.velocity_ecef_mps = motion.velocity_mps
+    solution.velocity_cov_ecef_m2ps2 = motion.velocity_cov_m2ps2
+    solution.acceleration_ecef_mps2 = motion.acceleration_mps2
+    solution.acceleration_cov_ecef_m2ps4 = motion.acceleration_cov_m2ps4
     solution.base_ecef_m = base_ecef_m
     solution.baseline_ecef_m = x[:3]
     solution.baseline_cov_ecef_m2 = covariance
@@ -184,22 +192,21 @@ def _float_state(solved: "Solved", base_ecef_m: Vector, around: Circumstances) -
     return FloatState(base_ecef_m, x, keys[:count], shared[:count], around.sense, around.moves)
 
 
-def _motion(single: Located, x: Vector, P: Matrix, around: Circumstances) -> tuple[Vector, Matrix, Vector, Matrix]:
-    """Return velocity and its covariance, acceleration and its covariance (ECEF, NaN where not known) of the filter; of a moving base its
-    own velocity is added, but the acceleration is the baseline's.
+def motion_of(single: Located, x: Vector, P: Matrix, around: Circumstances) -> Moved:
+    """Return the motion by the filter; of a moving base its own velocity is added, but the acceleration is the baseline's.
 
     Where nothing moves, or nobody knows how the base does, the velocity is the single-point one.
     """
     base, factor = around.base_single, around.rate_factors[0]
     if not around.moves or (base is not None and not isfinite(base.velocity_mps[0])):
-        return single.velocity_mps[:3], factor * single.velocity_cov_m2ps2, _NO_VECTOR.copy(), _NO_MATRIX.copy()
+        return Moved(single.velocity_mps[:3], factor * single.velocity_cov_m2ps2, _NO_VECTOR.copy(), _NO_MATRIX.copy())
     velocity, covariance = x[3:6] if around.sense > 0.0 else -x[3:6], P[3:6, 3:6]
     if base is not None:
         velocity = velocity + base.velocity_mps[:3]
         covariance = covariance_of_sum(covariance, single, base, around.rate_factors)
     elif isfinite(single.velocity_mps[0]):  # else the covariance is what motion and phases make of it
         covariance = factor * covariance
-    return velocity, covariance, x[6:9], P[6:9, 6:9]
+    return Moved(velocity, covariance, x[6:9], P[6:9, 6:9])
 
 
 def covariance_of_sum(P: Matrix, single: Located, base: Located, factors: tuple[float, float]) -> Matrix:

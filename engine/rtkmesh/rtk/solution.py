@@ -233,7 +233,9 @@ class Solution:
     A value: nobody writes to it (a frozen dataclass of so many fields takes 8 us to make, this one 1).
 
     ``time`` is the receiver's epoch tag (GPST) that pairs it with others; ``age_s`` is rover minus base epoch;
-    ``baseline_ecef_m`` is rover minus base. ``ratio`` is second-best over best squared norm of the integer search (0: none).
+    ``baseline_ecef_m`` is rover minus base. The velocity is that of the rover's antenna, of a moving base too, at the instant at which it
+    measured (``pace``); the acceleration is the filter's, of a moving base that of the baseline. ``ratio`` is second-best over best squared
+    norm of the integer search (0: none).
     ``single_position_ecef_m`` is this epoch's single-point position, ``clocks_s`` (in the order of ``gnss.signals.SYSTEMS``) receiver clock
     minus each system's time. ``grade`` 0 to 3: how many independent validations a fix passed.
     ``waited_s`` is the time between the rover epoch's arrival and its solving on the deadline clock.

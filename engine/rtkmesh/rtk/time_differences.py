@@ -48,17 +48,20 @@ class Voices(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What a test found, in arrays that it writes to: residuals (m, n), displacement against the model's and clock (m, 4), covariance."""
+    """What a test found, in arrays that it writes to: residuals (m, n), displacement against the model's and clock (m, 4), covariance;
+    ``fit``: squared residuals of the phases that fit (m2, sum), and their degrees of freedom.
+    """
 
     residual_m: Vector
     step_m: Vector
     cov_m2: Matrix
+    fit: Vector
 
 
 @kernel
 def no_motion(count: int) -> Motion:
     """Return room for the motion that so many phases show."""
-    return Motion(np.full(count, np.nan), np.zeros(_UNKNOWNS), np.full((_UNKNOWNS, _UNKNOWNS), np.nan))
+    return Motion(np.full(count, np.nan), np.zeros(_UNKNOWNS), np.full((_UNKNOWNS, _UNKNOWNS), np.nan), np.zeros(2))
 
 
 @kernel_in_place
@@ -68,7 +71,7 @@ def time_difference_test(change_m: Vector, threshold_m: Vector, voices: Voices, 
     ``change_m`` (n, NaN: none) are changes of observed minus modelled phase. A residual beyond ``threshold_m`` is a slip.
     """
     weight, unknowns = scratch(len(change_m)), _UNKNOWNS if voices.moving else 1
-    weight[:], found.residual_m[:], found.step_m[:], found.cov_m2[:, :] = 0.0, np.nan, 0.0, np.nan
+    weight[:], found.residual_m[:], found.step_m[:], found.cov_m2[:, :], found.fit[:] = 0.0, np.nan, 0.0, np.nan, 0.0
     tested = _voting(change_m, voices.votes, weight)
     if tested < unknowns + 1 or np.sum(weight) < unknowns:
         return UNTESTED
@@ -88,7 +91,7 @@ def time_difference_test(change_m: Vector, threshold_m: Vector, voices: Voices, 
     if used < unknowns or not _fit(change_m, voices, weight, A, y):
         return UNTESTED
     _residuals(change_m, voices, y, found.residual_m)
-    _spread(weight, found.residual_m, used - unknowns, A, found.cov_m2)
+    _spread(weight, used - unknowns, A, found)
     for i in range(_UNKNOWNS):
         found.step_m[i] = y[i]
     return used - unknowns
@@ -327,16 +330,23 @@ def _invert(A: Matrix, y: Vector) -> bool:
 
 
 @kernel_in_place
-def _spread(weight: Vector, residual_m: Vector, redundancy: int, A: Matrix, cov_m2: Matrix) -> None:
+def _spread(weight: Vector, redundancy: int, A: Matrix, found: Motion) -> None:
     """Write the covariance: the inverse normal matrix times the variance of unit weight (at least _SIGMA_M squared)."""
     total = 0.0
     for k in range(len(weight)):
         if weight[k] > 0.0:
-            total += residual_m[k] ** 2
+            total += found.residual_m[k] ** 2
     unit = max(total / max(redundancy, 1), _SIGMA_M**2)
+    found.fit[0], found.fit[1] = total, float(redundancy)
     for i in range(_UNKNOWNS):
         for j in range(_UNKNOWNS):
-            cov_m2[i, j] = A[i, j] * unit
+            found.cov_m2[i, j] = A[i, j] * unit
+
+
+@kernel_in_place
+def unit_variance_m2(fit: Vector) -> float:
+    """Return the variance of unit weight in the covariance of a motion with this fit."""
+    return max(fit[0] / max(fit[1], 1.0), _SIGMA_M**2)
 
 
 @kernel_in_place

@@ -5,7 +5,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -47,6 +47,13 @@ def add_velocity(x: Vector, P: Matrix, velocity_mps: Vector, covariance: Matrix,
 def invert3(A: Matrix) -> Matrix:
     """Return the inverse of a symmetric 3 x 3 matrix by cofactors."""
     out = np.empty((3, 3))
+    invert3_into(A, out)
+    return out
+
+
+@kernel_in_place
+def invert3_into(A: Matrix, out: Matrix) -> float:
+    """Write the inverse of a symmetric 3 x 3 matrix by cofactors; return the determinant."""
     out[0, 0] = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
     out[0, 1] = A[0, 2] * A[2, 1] - A[0, 1] * A[2, 2]
     out[0, 2] = A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
@@ -58,4 +65,4 @@ def invert3(A: Matrix) -> Matrix:
         for j in range(i, 3):
             out[i, j] /= determinant
             out[j, i] = out[i, j]
-    return out
+    return float(determinant)
