@@ -40,7 +40,7 @@ _FIRST: Final = GpsTime(2445, 0.0)
 _WEEK_S: Final = 604800
 _SLOPE_M: Final = 0.02  # sigma of GLONASS delays per channel between receivers of two makes; our choice
 # Sigma of what those of the two bands differ by. Delays of one origin are alike on both in metres (Sleewaegen et al. 2012, Inside GNSS
-# 7(3):52-61); recorded pairs differ by 0.5 to 3 mm.
+# 7(3):52-61); recorded pairs differ by 0.4 and 1.2 mm.
 _SLOPES_APART_M: Final = 0.003
 
 
