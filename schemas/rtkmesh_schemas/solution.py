@@ -19,7 +19,7 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
 
     ``clocks_s``: receiver clock minus the system's time, by system in the order GRECJSI. ``float_*``: the solution without integers.
     ``zenith_delays_m``: of rover and base, where they are estimated; ``glonass_slopes_m``: what phases on G1 and on G2
-    are off per frequency channel, by the held integers.
+    are off per frequency channel, by the held integers; ``glonass_slope_m``: that on G1.
     ``candidates``: the candidate integers of this epoch follow on their own key.
     """
 
@@ -82,9 +82,10 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     float_velocity_ecef_mps: Vector = (float("nan"), float("nan"), float("nan"))
     float_acceleration_ecef_mps2: Vector = (float("nan"), float("nan"), float("nan"))
     zenith_delays_m: tuple[float, float] = (float("nan"), float("nan"))
-    glonass_slopes_m: tuple[float, float] = (float("nan"), float("nan"))
+    glonass_slope_m: float = float("nan")
     base_station_id: int = 0
     candidates: bool = False
+    glonass_slopes_m: tuple[float, float] = (float("nan"), float("nan"))
 
 
 class SatellitesMessage(Wire, frozen=True, kw_only=True):

@@ -65,6 +65,7 @@ def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
         float_velocity_ecef_mps=_vector(solution.float_state.velocity_ecef_mps),
         float_acceleration_ecef_mps2=_vector(solution.float_state.acceleration_ecef_mps2),
         zenith_delays_m=_zenith_delays_m(solution),
+        glonass_slope_m=solution.glonass_slopes_m[0],
         glonass_slopes_m=solution.glonass_slopes_m,
         resets=int(solution.resets),
         waited_s=float(solution.waited_s),
