@@ -41,7 +41,7 @@ from rtkmesh.simulation.rtcm3_stream import Rtcm3Stream
 from rtkmesh.simulation.trajectories import boat
 from rtkmesh.simulation.ubx_stream import UbxStream
 from score_pos import ScoreError, read_track
-from simulated import ENOUGH_SATELLITES, WRONG_M, Outage, Setup, Simulated, simulate
+from simulated import ENOUGH_SATELLITES, WRONG_M, Outage, Setup, Simulated, simulate, slopes_of_two_makes_m
 
 Row = dict[str, Any]
 Errors = NDArray[np.float64]  # per epoch: 3D error of a fix (m), NaN without a fix
@@ -78,7 +78,7 @@ def mission(receiver: ReceiverOptions, frequencies: int, rng: np.random.Generato
         outages += [Outage(float(at), float(length)), Outage(float(at + length), _WAVES_S, _WAVES_BELOW_RAD)]
         surfacings.append((at + length, at + length + _SURFACE_S))
         at += length + _SURFACE_S
-    signals = SURVEY.signals._replace(glonass_slope_m=0.02 * float(rng.standard_normal()))
+    signals = SURVEY.signals._replace(glonass_slopes_m=slopes_of_two_makes_m(rng))
     base = replace(SURVEY, steered=True, signals=signals)
     setup = Setup(
         seconds=at, options=RtkOptions(frequencies=frequencies), trajectory=boat,

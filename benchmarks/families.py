@@ -14,7 +14,7 @@ from rtkmesh.simulation.receiver import Observed, ReceiverOptions
 from rtkmesh.simulation.sky import absolute_s
 from rtkmesh.simulation.surroundings import city, forest
 from rtkmesh.simulation.trajectories import Trajectory, boat, driving, static, streets, walking
-from simulated import Faults, Offset, Outage, Setup
+from simulated import Faults, Offset, Outage, Setup, slopes_of_two_makes_m
 
 Random = np.random.Generator
 
@@ -26,7 +26,6 @@ _SETTLED_S: Final = 20  # faults come once the solver has begun
 _MOTIONS: Final = ((static, inf), (driving, 8.0), (boat, 15.0), (walking, 11.0))
 _BASE: Final = replace(SURVEY, steered=True)
 _EARTH_M: Final = 6.371e6
-_SLOPE_SIGMA_M: Final = 0.02  # of GLONASS delays per channel between receivers of two makes; our choice
 # Which systems rover and base have in common, and how often: old bases send GPS alone or GPS and GLONASS, new ones all.
 _SYSTEMS: Final = ("G", "GR", "GE", "GREC")
 _SHARES: Final = (0.15, 0.25, 0.2, 0.4)
@@ -59,7 +58,7 @@ def _open(
     signals = moving(rover.signals, multipath_s) if isfinite(multipath_s) else rover.signals
     receiver = replace(rover, systems=common, frequencies=frequencies, signals=signals)
     place = _place(rng)
-    base = replace(_BASE, signals=_BASE.signals._replace(glonass_slope_m=_SLOPE_SIGMA_M * float(rng.standard_normal())))
+    base = replace(_BASE, signals=_BASE.signals._replace(glonass_slopes_m=slopes_of_two_makes_m(rng)))
     return Setup(seconds=seconds, options=options, trajectory=trajectory, rover=receiver, base=base, base_enu_m=place)
 
 

@@ -38,6 +38,10 @@ _WAIT_S: Final = 0.9
 _NEVER_AGAIN_S: Final = 1e9
 _FIRST: Final = GpsTime(2445, 0.0)
 _WEEK_S: Final = 604800
+_SLOPE_M: Final = 0.02  # sigma of GLONASS delays per channel between receivers of two makes; our choice
+# Sigma of what those of the two bands differ by. Delays of one origin are alike on both in metres (Sleewaegen et al. 2012, Inside GNSS
+# 7(3):52-61); recorded pairs differ by 0.4 and 1.2 mm.
+_SLOPES_APART_M: Final = 0.003
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +114,15 @@ class Simulated:
     rover_epochs: list[Epoch]
     base_epochs: list[Epoch | None]
     disturbances: list[tuple[str, Disturbance]]
+
+
+def slopes_of_two_makes_m(rng: np.random.Generator) -> tuple[float, float]:
+    """Return GLONASS delays per channel (m), on either band, of a receiver against one of another make.
+
+    The second is of a generator of its own: runs are what they were when there was one for both.
+    """
+    first_m = _SLOPE_M * float(rng.standard_normal())
+    return first_m, first_m + _SLOPES_APART_M * float(rng.spawn(1)[0].standard_normal())
 
 
 def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:

@@ -20,7 +20,8 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     ``integrity_reason``. No certified integrity: docs/concepts/integrity.md.
 
     ``clocks_s``: receiver clock minus the system's time, by system in the order GRECJSI. ``float_*``: the solution without integers.
-    ``zenith_delays_m``: of rover and base, where they are estimated; ``glonass_slope_m``: what phases are off per frequency channel.
+    ``zenith_delays_m``: of rover and base, where they are estimated; ``glonass_slopes_m``: what phases on G1 and on G2
+    are off per frequency channel, by the held integers; ``glonass_slope_m``: that on G1.
     ``candidates``: the candidate integers of this epoch follow on their own key.
     """
 
@@ -86,6 +87,7 @@ class SolutionMessage(Wire, frozen=True, kw_only=True):
     glonass_slope_m: float = float("nan")
     base_station_id: int = 0
     candidates: bool = False
+    glonass_slopes_m: tuple[float, float] = (float("nan"), float("nan"))
 
 
 class SatellitesMessage(Wire, frozen=True, kw_only=True):

@@ -148,9 +148,15 @@ def test_stromlo_over_the_week_rollover(data):
     )
     around = [k for k, e in enumerate(case.rover) if abs(seconds(e.time) - 2010 * 604800.0) < 60.0]
     case.rover = case.rover[around[0] : around[-1] + 1]
-    right, wrong, first = judge(case.solve(RtkOptions(systems="GRE", frequencies=2)), (-4467074.3577, 2683011.9038, -3667008.2845))
+    solutions = case.solve(RtkOptions(systems="GRE", frequencies=2))
+    right, wrong, first = judge(solutions, (-4467074.3577, 2683011.9038, -3667008.2845))
     assert right >= 99.0
     assert (wrong, first) == (0, 0)
+    # PolaRx5 and NetR9: the slopes of GLONASS by the held integers, on both bands nearly the same
+    g1_m, g2_m = solutions[-1].glonass_slopes_m
+    assert g1_m == pytest.approx(-0.0066, abs=0.001)
+    assert g2_m == pytest.approx(-0.0063, abs=0.001)
+    assert 0.0 < abs(g2_m - g1_m) < 0.0012
 
 
 def galway_walk(data):

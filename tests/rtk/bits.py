@@ -14,8 +14,8 @@ def same_bits(first: object, second: object) -> bool:
         if is_dataclass(a) and not isinstance(a, GpsTime):
             if not same_bits(a, b):
                 return False
-        elif isinstance(a, np.ndarray):
-            if a.tobytes() != b.tobytes():
+        elif isinstance(a, np.ndarray | tuple):
+            if np.asarray(a).tobytes() != np.asarray(b).tobytes():
                 return False
         elif not (a == b or (a != a and b != b)):
             return False

@@ -15,9 +15,9 @@ from rtkmesh.rtk.calm import ATMOSPHERE_FROM_M, calmed, is_atmospheric
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
-from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEY, ZENITH_KEY, Filter
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEYS, ZENITH_KEY, Filter
 
-KEYS = np.array([ZENITH_KEY, 3, 7, SLOPE_KEY, 3 * KEYS_PER_SATELLITE + 1, 7 * KEYS_PER_SATELLITE + 1], np.int64)
+KEYS = np.array([ZENITH_KEY, 3, 7, SLOPE_KEYS[0], 3 * KEYS_PER_SATELLITE + 1, 7 * KEYS_PER_SATELLITE + 1], np.int64)
 ATMOSPHERE = np.array([DYNAMIC, DYNAMIC + 1, DYNAMIC + 2])
 BASE_ECEF_M = np.array([-3959400.631, 3385704.533, 3667523.111])
 L2_M = 299792458.0 / 1227.6e6

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.models.odds import log_odds
-from rtkmesh.rtk.acceptance import OPEN_SLOPE_FEW, OPEN_SLOPE_LEAST, bears_out, without_slope
+from rtkmesh.rtk.acceptance import OPEN_SLOPE_FEW, OPEN_SLOPE_LEAST, bears_out
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs
 from rtkmesh.rtk.asked_odds import (
     ASKED_OF_STREETS,
@@ -21,7 +21,8 @@ from rtkmesh.rtk.asked_odds import (
 )
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
 from rtkmesh.rtk.noise import learn_codes, new_code_scale
-from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEY, Filter
+from rtkmesh.rtk.slopes import without_slopes
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEYS, Filter
 from rtkmesh.rtk.witness import LEAST, RIVALS, witnessed
 
 WAVELENGTH_M = 0.19
@@ -51,7 +52,7 @@ def floating(rng, code_m=0.5, phase_m=0.003, gps=GPS):
     b = codes.T @ (codes @ truth + code_m * rng.standard_normal(n)) / code_m**2
     b += phases.T @ (phases @ truth + phase_m * rng.standard_normal(n)) / phase_m**2
     P = np.linalg.inv(N)
-    keys = np.concatenate([[SLOPE_KEY], (np.arange(n) + 1 + system * (64 - gps)) * KEYS_PER_SATELLITE])
+    keys = np.concatenate([SLOPE_KEYS[:1], (np.arange(n) + 1 + system * (64 - gps)) * KEYS_PER_SATELLITE])
     x = P @ b
     everything = Candidates(np.arange(1, n + 1), system.astype(np.int64), keys[1:] // KEYS_PER_SATELLITE, elevation)
     return Filter(x[:states].copy(), P[:states, :states].copy(), keys, np.zeros((n + 1, HISTORY))), everything
@@ -97,7 +98,7 @@ def test_a_witness_helps_and_does_not_mislead():
 @pytest.mark.parametrize(("gps", "least"), [(LEAST + 1, OPEN_SLOPE_LEAST), (LEAST, OPEN_SLOPE_FEW)])
 def test_no_slope_is_believed_only_where_an_open_one_gives_the_same_others(gps, least):
     f, everything = floating(np.random.default_rng(3), gps=gps)
-    straight = search(without_slope(f), everything, np.nan, 0.01)
+    straight = search(without_slopes(f), everything, np.nan, 0.01)
     others, glonass = straight.integers.copy(), straight.integers.copy()
     others[gps - 2] += 1.0
     glonass[gps - 1] += 1.0

@@ -11,7 +11,7 @@ from rtkmesh.rtk.length_search import FEWEST, Given, nearest_of_length
 from rtkmesh.rtk.noise import new_code_scale
 from rtkmesh.rtk.published import learn_fix
 from rtkmesh.rtk.single_epoch import PRIOR, PRIOR_DOF, sharpness, with_sharper_phases
-from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, SLOPE_KEY, Filter
+from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, SLOPE_KEYS, Filter
 
 Matrix = NDArray[np.float64]
 BOX = 5
@@ -106,7 +106,7 @@ def one_epoch(factor: float) -> Filter:
     P[phases, to] = H @ shared
     P[to, phases] = (H @ shared).T
     P[phases, phases] = H @ shared @ H.T + factor * np.diag(rng.uniform(1e-4, 1e-3, 5))
-    keys = np.concatenate(([SLOPE_KEY], FIRST_PAIR_KEY + np.arange(5)))
+    keys = np.concatenate((SLOPE_KEYS[:1], FIRST_PAIR_KEY + np.arange(5)))
     return Filter(rng.normal(size=n), P, keys.astype(np.int64), np.zeros((6, HISTORY)))
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Epoch
-from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM, carrier_hz, satellite_number, signal_number
+from rtkmesh.gnss.signals import ATTRIBUTES, GLONASS, SATELLITES_PER_SYSTEM, carrier_hz, satellite_number, signal_number
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.geometry import line_of_sight
 from rtkmesh.models.orbit import STATE, STATE_CLOCK, satellite_state
@@ -77,6 +77,17 @@ def test_double_differenced_phases_are_integers_and_codes_are_geometry():
         if system != GLONASS:  # (the offset that is common in metres is not in cycles there)
             assert np.abs(double - np.rint(double)).max() < 0.01
         assert np.any(np.abs(double) > 1.0)
+
+
+def test_glonass_has_a_slope_on_each_band():
+    """Codes and phases of GLONASS are later by the channel times the slope of their band, and no others."""
+    slopes_m = 0.02, 0.015
+    straight, sloped = (receiver(signals=QUIET._replace(glonass_slopes_m=s)).observe(START).epoch for s in ((0.0, 0.0), slopes_m))
+    glonass, band = straight.satellite // SATELLITES_PER_SYSTEM == GLONASS, straight.signal // ATTRIBUTES
+    late_m = np.where(glonass, straight.channel * np.where(band == 1, *slopes_m), 0.0)
+    assert len(set(late_m[glonass])) > 8
+    assert sloped.pseudorange_m - straight.pseudorange_m == pytest.approx(late_m, abs=1e-7)
+    assert (sloped.phase_cyc - straight.phase_cyc) * wavelengths_m(straight) == pytest.approx(late_m, abs=1e-7)
 
 
 def test_pseudoranges_are_truth_within_delays_and_noise():

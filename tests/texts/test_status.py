@@ -41,7 +41,7 @@ def test_records_and_their_fields() -> None:
     found = records(
         float_position_ecef_m=(1.0, 2.0, 3.0), float_velocity_ecef_mps=vector_to_ecef(1.0, 2.0, 3.0),
         float_acceleration_ecef_mps2=vector_to_ecef(0.1, 0.2, 0.3), acceleration_ecef_mps2=vector_to_ecef(0.4, 0.5, 0.6),
-        clocks_s=(1e-6, 2e-6, nan, 4e-6, 1e-6, nan, 1e-6), zenith_delays_m=(2.31, 2.3), glonass_slope_m=0.005625,
+        clocks_s=(1e-6, 2e-6, nan, 4e-6, 1e-6, nan, 1e-6), zenith_delays_m=(2.31, 2.3), glonass_slopes_m=(0.005625, 0.00875),
     )  # fmt: skip
     assert [record[0] for record in found] == [
         "$POS", "$VELACC", "$CLK", "$ION", "$TROP", "$TROP", "$HWBIAS", "$HWBIAS", "$SAT", "$SAT", "$SAT",
@@ -54,6 +54,7 @@ def test_records_and_their_fields() -> None:
     assert found[2][4:] == ["1", "1000.000", "1000.000", "0.000", "3000.000", "0.000", "0.000"]
     assert found[4][4:] == ["1", "2.3100", "0.0000"]
     assert found[6][4:] == ["1", "0.0100", "0.0000"]
+    assert found[7][4:] == ["2", "0.0200", "0.0000"]
 
 
 def test_satellites() -> None:

@@ -18,7 +18,6 @@ from rtkmesh.rtk.memory import (
     DOUBTS,
     HELD_SINCE_S,
     SHOWN,
-    SLOPE_CHANGE_M,
     STREAK_EPOCHS,
     STREAK_EPOCHS_LEAST,
     STREAK_S,
@@ -28,7 +27,8 @@ from rtkmesh.rtk.memory import (
     release,
 )
 from rtkmesh.rtk.redundancy import are_bare
-from rtkmesh.rtk.state import ARC_S, DYNAMIC, INTEGER, SLOPE_KEY, STREAK, Filter, place_of
+from rtkmesh.rtk.slopes import without_slopes
+from rtkmesh.rtk.state import ARC_S, DYNAMIC, INTEGER, STREAK, Filter
 from rtkmesh.rtk.witness import LEAST, others_of
 
 Vector = NDArray[np.float64]
@@ -78,7 +78,7 @@ def try_new(
         if other.odds > best.odds:
             best, penalty, needed = other, log(SUBSETS), asked
         if len(everything.row) > len(candidates.row):
-            flat = without_slope(f)
+            flat = without_slopes(f)
             sloped, straight = search_all(f, everything, setup), search_all(flat, everything, setup)
             slopeless = straight.odds > sloped.odds and bears_out(f, sloped, straight)
             with_glonass = straight if slopeless else sloped
@@ -182,27 +182,8 @@ def _better(f: Filter, candidates: Candidates, mask: NDArray[np.bool_], best: Se
 
 
 @kernel
-def without_slope(f: Filter) -> Filter:
-    """Return the filter under the hypothesis that GLONASS phases have no slope (receivers of one make)."""
-    slope = place_of(f.keys, SLOPE_KEY)
-    if slope < 0:
-        return f
-    n, i = len(f.x), DYNAMIC + slope
-    x, P = f.x.copy(), f.P.copy()
-    for a in range(n):
-        gain = f.P[a, i] / f.P[i, i]
-        x[a] -= gain * f.x[i]
-        for b in range(n):
-            P[a, b] -= gain * f.P[i, b]
-    for a in range(n):
-        P[a, i], P[i, a] = 0.0, 0.0
-    x[i], P[i, i] = 0.0, SLOPE_CHANGE_M**2
-    return Filter(x, P, f.keys, f.history)
-
-
-@kernel
 def bears_out(f: Filter, sloped: Search, straight: Search) -> bool:
-    """Return whether the search of all that leaves the slope of GLONASS phases open gives the integers of the other systems that the one
+    """Return whether the search of all that leaves the slopes of GLONASS phases open gives the integers of the other systems that the one
     without a slope gives, with odds of its own.
     """
     own = others_of(f, sloped.pairs)

@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
-from rtkmesh.gnss.signals import GLONASS, SBAS
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SBAS, SIGNALS_PER_SATELLITE, band_of
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.code_arcs import inflation_of
 from rtkmesh.rtk.filter import predict_motion, reset_state
 from rtkmesh.rtk.phase_arcs import phase_inflations
 from rtkmesh.rtk.residuals import BASE_PHASE, CHANNEL, CODE, ELEVATION_RAD, PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.slips import CERTAIN, KNOWN_SLIP, NO_SLIP, SlipSetup, Verdicts, find_slips
+from rtkmesh.rtk.slopes import Slopes, begin_slope
 from rtkmesh.rtk.state import (
     ARC_EPOCHS,
     ARC_S,
@@ -33,11 +34,12 @@ from rtkmesh.rtk.state import (
     ROVER_S,
     SEEN_S,
     SLIPS,
-    SLOPE_KEY,
+    SLOPE_KEYS,
     STREAK,
     USUAL_M,
     ZENITH_KEY,
     Filter,
+    is_ionosphere,
     place_of,
     use_keys,
 )  # fmt: skip
@@ -57,7 +59,7 @@ class Walks(NamedTuple):
     """Random walks of the keyed states and how new shared ones begin (all in their units, walks per square root of second).
 
     An ionosphere does not walk away: within ``ionosphere_s`` it goes back to nothing, as far as its usual size ``ionosphere_sigma_m``.
-    ``slope`` is value and sigma of a new GLONASS slope.
+    ``slopes`` are value and sigma of new GLONASS slopes on G1 and G2.
     """
 
     ambiguity_cyc: float
@@ -66,7 +68,7 @@ class Walks(NamedTuple):
     zenith_m: float
     zenith_sigma_m: float
     slope_m: float
-    slope: tuple[float, float]
+    slopes: Slopes
 
 
 @kernel_in_place
@@ -129,7 +131,7 @@ def grow(P: Matrix, keys: Indices, dynamic: int, walks: Walks, dt_s: float) -> N
             walk = walks.ambiguity_cyc
         elif keys[k] == ZENITH_KEY:
             walk = walks.zenith_m
-        elif keys[k] == SLOPE_KEY:
+        elif not is_ionosphere(keys[k]):
             walk = walks.slope_m
         P[dynamic + k, dynamic + k] += walk * walk * dt_s
 
@@ -143,7 +145,7 @@ def relax(f: Filter, memory_s: float, dt_s: float) -> None:
     for k in range(len(f.keys)):
         if f.keys[k] >= FIRST_PAIR_KEY:
             return
-        if f.keys[k] == ZENITH_KEY or f.keys[k] == SLOPE_KEY:
+        if not is_ionosphere(f.keys[k]):
             continue
         i = DYNAMIC + k
         f.x[i] *= keep
@@ -158,12 +160,12 @@ def relax(f: Filter, memory_s: float, dt_s: float) -> None:
 def wanted_keys(pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, phases: bool, atmosphere: int) -> Indices:
     """Return the sorted keys of the states that these pairs need.
 
-    They are an ambiguity per phase (if ``phases``), the GLONASS slope where channels differ, the zenith delay where ``atmosphere`` is 1,
-    and with 2 an ionosphere per satellite with a code too.
+    They are an ambiguity per phase (if ``phases``), the GLONASS slope of each band where channels differ, the zenith delay where
+    ``atmosphere`` is 1, and with 2 an ionosphere per satellite with a code too.
     """
     n = len(pair_key)
-    keys, count = np.empty(2 * n + 2, np.int64), 0
-    sloped = False
+    keys, count = np.empty(2 * n + 3, np.int64), 0
+    sloped = 0
     if atmosphere > 0:
         count = _insert(keys, count, ZENITH_KEY)
     for k in range(n):
@@ -171,10 +173,17 @@ def wanted_keys(pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, 
             count = _insert(keys, count, int(satellite[k]))
         if phases and isfinite(table[k, PHASE]):
             count = _insert(keys, count, pair_key[k])
-            sloped = sloped or table[k, CHANNEL] != 0.0
-    if sloped:
-        count = _insert(keys, count, SLOPE_KEY)
+            sloped |= 1 << _sloped_band(pair_key[k], table[k, CHANNEL])
+    for band in range(len(SLOPE_KEYS)):
+        if sloped & (2 << band):
+            count = _insert(keys, count, SLOPE_KEYS[band])
     return keys[:count].copy()
+
+
+@kernel_in_place
+def _sloped_band(pair_key: int, channel: float) -> int:
+    """Return the band on which a pair's phase has a slope of GLONASS (1, 2), 0 if it has none."""
+    return band_of(pair_key % KEYS_PER_SATELLITE // SIGNALS_PER_SATELLITE) if channel != 0.0 else 0
 
 
 @kernel_in_place
@@ -194,11 +203,14 @@ def _insert(keys: Indices, count: int, key: int) -> int:
 @kernel_in_place
 def find_places(
     keys: Indices, pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, phases: bool, atmosphere: bool, ambiguity: Indices,
-    ionosphere: Indices,
+    ionosphere: Indices, slope: Indices,
 ) -> None:  # fmt: skip
-    """Write per pair the rows of its ambiguity and its ionosphere state, -1 for none."""
+    """Write per pair the rows of its ambiguity, its ionosphere and its slope state, -1 for none."""
+    on_g1, on_g2 = place_of(keys, SLOPE_KEYS[0]), place_of(keys, SLOPE_KEYS[1])
     for k in range(len(pair_key)):
         ambiguity[k] = place_of(keys, pair_key[k]) if phases and isfinite(table[k, PHASE]) else -1
+        band = _sloped_band(pair_key[k], table[k, CHANNEL])
+        slope[k] = -1 if band == 0 else on_g1 if band == 1 else on_g2
         ionosphere[k] = place_of(keys, int(satellite[k])) if atmosphere else -1
 
 
@@ -350,8 +362,8 @@ def lay_out(
     known_step = isfinite(dt)
     wanted = wanted_keys(d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere)
     f = use_keys(before, wanted, times_s[0], max(slips.maximum_gap_s, 2.5 * dt if known_step else 0.0))
-    ambiguity, ionosphere = np.empty(n, np.int64), np.empty(n, np.int64)
-    find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere == 2, ambiguity, ionosphere)
+    ambiguity, ionosphere, slope = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere == 2, ambiguity, ionosphere, slope)
     begin_shared(f, walks, times_s[0], ionosphere)
     verdicts = Verdicts(np.zeros(n, np.int64), np.zeros(n))
     tested = find_slips(d, f.history, ambiguity, times_s, slips, expected, verdicts)
@@ -361,13 +373,13 @@ def lay_out(
     inflation = inflations(f.history, ambiguity, code_since_s)
     # Between antennas that move together lengths and shapes choose integers by the baseline that these give: it must not look less sure.
     by_phase = np.ones(n) if slips.base_moves else phase_inflations(f.history, ambiguity, times_s[0])
-    layout = Layout(ambiguity, ionosphere, place_of(f.keys, ZENITH_KEY), place_of(f.keys, SLOPE_KEY), inflation, by_phase)
+    layout = Layout(ambiguity, ionosphere, slope, place_of(f.keys, ZENITH_KEY), inflation, by_phase)
     return Arranged(f, layout, tested.redundancy, tested.rover.step_m, tested.rover.cov_m2, tested.rover.fit)
 
 
 @kernel_in_place
 def begin_shared(f: Filter, walks: Walks, time_s: float, ionosphere: Indices) -> None:
-    """Give a value to new states of the atmosphere and of the GLONASS slope; those of this epoch's satellites (``ionosphere``) and of none
+    """Give a value to new states of the atmosphere and to the GLONASS slopes; those of this epoch's satellites (``ionosphere``) and of none
     count as seen.
     """
     for k in ionosphere:
@@ -376,14 +388,14 @@ def begin_shared(f: Filter, walks: Walks, time_s: float, ionosphere: Indices) ->
     for i in range(len(f.keys)):
         if f.keys[i] >= FIRST_PAIR_KEY:
             return
-        if f.keys[i] == ZENITH_KEY or f.keys[i] == SLOPE_KEY:
+        if not is_ionosphere(f.keys[i]):
             f.history[i, SEEN_S] = time_s
         if f.history[i, ARC_EPOCHS] >= 0.0:
             continue
-        value, sigma = 0.0, walks.ionosphere_sigma_m
         if f.keys[i] == ZENITH_KEY:
-            sigma = walks.zenith_sigma_m
-        elif f.keys[i] == SLOPE_KEY:
-            value, sigma = walks.slope[0], walks.slope[1]
-        reset_state(f.x, f.P, DYNAMIC + i, value, sigma**2)
+            reset_state(f.x, f.P, DYNAMIC + i, 0.0, walks.zenith_sigma_m**2)
+        elif is_ionosphere(f.keys[i]):
+            reset_state(f.x, f.P, DYNAMIC + i, 0.0, walks.ionosphere_sigma_m**2)
+        else:
+            begin_slope(f, i, walks.slopes)
         f.history[i, ARC_EPOCHS] = 0.0

@@ -13,7 +13,7 @@ from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.filter import posterior
 from rtkmesh.rtk.matching import count_runs
-from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, SLOPE_KEY, Filter
+from rtkmesh.rtk.state import DYNAMIC, ZENITH_KEY, Filter, is_ionosphere
 
 # Nearer, what the atmosphere leaves is below the phases' multipath; on one band, where an ionosphere is nearly as free as an ambiguity, the
 # states are worth it from FAR_M on only.
@@ -35,7 +35,7 @@ def calmed(f: Filter) -> Filter:
     n = len(f.x)
     N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
     for k in range(len(f.keys)):
-        if f.keys[k] < FIRST_PAIR_KEY and f.keys[k] != SLOPE_KEY:
+        if f.keys[k] == ZENITH_KEY or is_ionosphere(f.keys[k]):
             i = DYNAMIC + k
             N[i, i], b[i] = 1.0 / _CALM_M**2, -f.x[i] / _CALM_M**2
     return Filter(f.x + dx, P, f.keys, f.history) if posterior(f.P, N, b, P, dx) == 0 else f

@@ -1,10 +1,10 @@
 """The filter of single differences: time update, measurement update, bookkeeping of its states.
 
 State: baseline (m, ECEF), velocity and acceleration, then one state per *key*, in rising order of keys: 0 the zenith wet delay (m), a
-satellite number its slant ionosphere at L1 (m), 64 the slope of GLONASS phase biases over the channels (m), a pair's key its
-single-difference ambiguity (cycles). The receiver clock of each group (system, signal pair; code and phase apart) is free in every epoch
-and is eliminated from the normal equations, so there is no reference satellite, and the common part of a group's ambiguities is simply
-not known.
+satellite number its slant ionosphere at L1 (m), two behind these the slopes of GLONASS phase biases over the channels on G1 and G2 (m), a
+pair's key its single-difference ambiguity (cycles). The receiver clock of each group (system, signal pair; code and phase apart) is free
+in every epoch and is eliminated from the normal equations, so there is no reference satellite, and the common part of a group's
+ambiguities is simply not known.
 
 Measurement update: with P = U'U the posterior is U' (I + U N U')^-1 U, formed from triangular factors: symmetric and
 positive definite by construction. All matrices are row-major and all inner loops run along rows.

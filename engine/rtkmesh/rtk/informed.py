@@ -19,7 +19,7 @@ from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, 
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, PHASE, Differences
 from rtkmesh.rtk.slips import SlipSetup
-from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, SLOPE_KEY, ZENITH_KEY, Filter, place_of
+from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, ZENITH_KEY, Filter, is_ionosphere, place_of
 from rtkmesh.rtk.update import update
 from rtkmesh.rtk.validation import Resolution, fix, norm_of, note
 
@@ -189,7 +189,7 @@ def _held_on_two_bands(f: Filter) -> NDArray[np.bool_]:
     """Return which keys are ionospheres of satellites with two held integers."""
     out = np.zeros(len(f.keys), np.bool_)
     for k in range(len(out)):
-        if not ZENITH_KEY < f.keys[k] < FIRST_PAIR_KEY or f.keys[k] == SLOPE_KEY:
+        if not is_ionosphere(f.keys[k]):
             continue
         count = 0
         for j in range(len(out)):

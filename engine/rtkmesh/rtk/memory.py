@@ -23,18 +23,19 @@ ACCEPT_AFTER_STREAK: Final = 5.0  # log odds for a fix from a row of searches wi
 STREAK_S: Final = 10.0
 STREAK_EPOCHS_LEAST: Final = 5
 SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geodesy 86:139-148: up to 25 mm on L1)
-SLOPE_CHANGE_M: Final = 5e-4  # what a slope may change over a reset
 
-# What is remembered of one filter from epoch to epoch, in the memory of ``resolve``. SLOPE and SLOPE_SIGMA (m) are those of GLONASS phase
-# biases per channel; LAST_* are numbers of the last free search; UNAGREED counts epochs since one gave what is held (``integrity``),
-# MISSED those since the last fix, at LAST_FIX_S (``agreement``), FIX_SIGMA is the sigma of that in 3D (m); AGREED_S and PROVEN_S
-# say for how long searches have given what is held, and have done so clearly, as of NOTED_S (``agreement``); truth values are 0.0 and 1.0.
+# What is remembered of one filter from epoch to epoch, in the memory of ``resolve``. SLOPE_* and SLOPE_SIGMA_* (m) are those of GLONASS
+# phase biases per channel on G1 and G2 (``slopes``); LAST_* are numbers of the last free search; UNAGREED counts epochs since one gave
+# what is held (``integrity``), MISSED those since the last fix, at LAST_FIX_S (``agreement``), FIX_SIGMA is the sigma of that in 3D (m);
+# AGREED_S and PROVEN_S say for how long searches have given what is held, and have done so clearly, as of NOTED_S (``agreement``); truth
+# values are 0.0 and 1.0.
 (
-    STREAK_START_S, STREAK_EPOCHS, DOUBTS, HELD_SINCE_S, CONFIRMED, SHOWN, SINCE_SEARCH, TRUSTS_GLONASS, GLONASS_VOTES, SLOPE, SLOPE_SIGMA,
-    LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED, UNAGREED, LAST_FIX_S, MISSED, FIX_SIGMA,
-    AGREED_S, PROVEN_S, NOTED_S,
-) = range(24)  # fmt: skip
-MEMORY: Final = 24
+    STREAK_START_S, STREAK_EPOCHS, DOUBTS, HELD_SINCE_S, CONFIRMED, SHOWN, SINCE_SEARCH, TRUSTS_GLONASS, GLONASS_VOTES, SLOPE_G1, SLOPE_G2,
+    SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED, UNAGREED, LAST_FIX_S, MISSED,
+    FIX_SIGMA, AGREED_S, PROVEN_S, NOTED_S,
+) = range(26)  # fmt: skip
+MEMORY: Final = 26
+_OF_RECEIVERS: Final = [TRUSTS_GLONASS, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2]
 _NOTHING: Final = np.zeros(MEMORY)
 _NOTHING[[STREAK_START_S, HELD_SINCE_S, LAST_FIX_S]] = inf
 _NOTHING[[LAST_COUNT, NOTED_S]] = -1.0, -inf
@@ -66,16 +67,16 @@ def resolve_setup(options: AmbiguityOptions, length_m: float | None, length_sigm
 def new_memory() -> Vector:
     """Return the memory of a filter that has resolved nothing."""
     memory = np.zeros(MEMORY)
-    memory[SLOPE_SIGMA] = SLOPE_SIGMA_M
+    memory[[SLOPE_SIGMA_G1, SLOPE_SIGMA_G2]] = SLOPE_SIGMA_M
     forget(memory)
     return memory
 
 
 def forget(memory: Vector) -> None:
     """Forget the integers; what was learned of GLONASS belongs to the receivers and stays."""
-    trusts, slope, sigma = memory[TRUSTS_GLONASS], memory[SLOPE], memory[SLOPE_SIGMA]
+    kept = memory[_OF_RECEIVERS]
     memory[:] = _NOTHING
-    memory[TRUSTS_GLONASS], memory[SLOPE], memory[SLOPE_SIGMA] = trusts, slope, sigma
+    memory[_OF_RECEIVERS] = kept
 
 
 @kernel

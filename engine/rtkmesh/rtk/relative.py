@@ -21,10 +21,10 @@ from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import Motion, Settled, Use, begin_informed, settle
 from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
-from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE, SLOPE_SIGMA, ResolveSetup
+from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
 from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
-from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution
+from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution, describe_slopes
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
 from rtkmesh.rtk.separation import codes_alone
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
@@ -158,7 +158,7 @@ def _walks(setup: Setup, ionosphere_sigma_m: float, memory: Vector) -> Walks:
     zenith = (_ZENITH_WALK_M, ZENITH_SIGMA_M) if calibrated else _ZENITH_HELD
     return Walks(
         setup.ambiguity_walk_cyc, _IONOSPHERE_MEMORY_S, ionosphere_sigma_m, zenith[0], zenith[1], _SLOPE_WALK_M,
-        (memory[SLOPE], memory[SLOPE_SIGMA]),
+        ((memory[SLOPE_G1], memory[SLOPE_SIGMA_G1]), (memory[SLOPE_G2], memory[SLOPE_SIGMA_G2])),
     )  # fmt: skip
 
 
@@ -241,6 +241,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     describe_guard(guarded, resolution.odds, figures)
+    describe_slopes(known.memory, figures)
     satellites = describe_pairs(f, d, layout, outcome, resolution.fixed, time_s)
     if not resolution.fixed:
         P = f.P[:DYNAMIC, :DYNAMIC].copy()

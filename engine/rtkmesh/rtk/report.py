@@ -14,8 +14,10 @@ from rtkmesh.models.single import Located, SingleStatus
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.integrity import Guard
 from rtkmesh.rtk.matching import count_runs, distinct
+from rtkmesh.rtk.memory import SLOPE_G1, SLOPE_SIGMA_G1
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.residuals import CN0, ELEVATION_RAD, Differences
+from rtkmesh.rtk.slopes import SLOPES_APART_M
 from rtkmesh.rtk.solution import (
     FIXED,
     HALF_CYCLE,
@@ -78,9 +80,9 @@ _REASONS: Final = {
 # Columns of the row of figures of a relative solution.
 (
     AMBIGUITIES, SATELLITES_USED, PHASES, CODE_RMS_M, PHASE_RMS_M, NIS, REASON, IS_FIXED, RATIO, THRESHOLD, SUCCESS, COUNT_FIXED, GRADE,
-    ODDS, WRONG, PROTECTION_H_M, PROTECTION_V_M, RESIDUAL_TEST, FLOAT_TEST, CODE_TEST,
-) = range(20)  # fmt: skip
-FIGURES: Final = 20
+    SLOPE_G1_M, SLOPE_G2_M, ODDS, WRONG, PROTECTION_H_M, PROTECTION_V_M, RESIDUAL_TEST, FLOAT_TEST, CODE_TEST,
+) = range(22)  # fmt: skip
+FIGURES: Final = 22
 _NO_VECTOR: Final = np.full(3, nan)
 _NO_MATRIX: Final = np.full((3, 3), nan)
 _REASON_OF: Final = tuple(Reason)  # by number
@@ -174,6 +176,7 @@ def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved",
     solution.protection_vertical_m = numbers[PROTECTION_V_M]
     solution.integrity = integrity
     solution.integrity_reason = why
+    solution.glonass_slopes_m = numbers[SLOPE_G1_M], numbers[SLOPE_G2_M]
     solution.satellites = SatelliteTable(solved.satellites)
     solution.float_state = _float_state(solved, base_ecef_m, around)
     solution.resets = around.resets
@@ -228,6 +231,14 @@ def describe_resolution(resolution: Resolution, out: Vector) -> None:
     """Write the figures of ambiguity resolution."""
     out[REASON], out[IS_FIXED], out[RATIO], out[THRESHOLD] = resolution.reason, resolution.fixed, resolution.ratio, resolution.threshold
     out[SUCCESS], out[COUNT_FIXED], out[GRADE] = resolution.success, resolution.integers, resolution.grade
+
+
+@kernel_in_place
+def describe_slopes(memory: Vector, out: Vector) -> None:
+    """Write the slopes of GLONASS phases that held integers have shown, NaN before."""
+    for band in range(2):
+        known = memory[SLOPE_SIGMA_G1 + band] <= SLOPES_APART_M
+        out[SLOPE_G1_M + band] = memory[SLOPE_G1 + band] if known else nan
 
 
 @kernel_in_place

@@ -27,7 +27,7 @@ Indices = NDArray[np.int64]
 
 # Columns of a single difference. CODE and PHASE (m): observed minus modelled, rover minus base, NaN where not to be used; ROVER_PHASE and
 # BASE_PHASE (m) the same of one receiver (time differences find slips in them); variances (m2); IONOSPHERE is (f1 / f)^2; CN0 the lower
-# of the two. CHANNEL that of GLONASS, 0 for others.
+# of the two. CHANNEL that of GLONASS on G1 and G2, 0 for others.
 CODE, PHASE, ROVER_PHASE, BASE_PHASE, CODE_VARIANCE, PHASE_VARIANCE, WAVELENGTH, IONOSPHERE, CN0, ELEVATION_RAD, CHANNEL = range(11)
 DIFFERENCE: Final = 11
 
@@ -48,7 +48,7 @@ def wavelengths(
     satellite: NDArray[np.int16], signal: NDArray[np.int16], channel: NDArray[np.int8], row: Indices, known: NDArray[np.int8],
     wavelength_m: Vector, channels: Vector,
 ) -> None:  # fmt: skip
-    """Write the wavelength (m) of each pair, NaN where the carrier is not known, and its GLONASS channel, 0 where there is none.
+    """Write the wavelength (m) of each pair, NaN where the carrier is not known, and its GLONASS channel, 0 where it has none.
 
     ``row`` are rows of ``signal`` and ``channel``; ``known`` is the channel per satellite number, for rows without one.
     """
@@ -58,7 +58,8 @@ def wavelengths(
             own = int(known[number])
         f = carrier_hz(number, int(signal[row[k]]), own)
         wavelength_m[k] = _C / f if f > 0.0 else np.nan
-        channels[k] = own if system_of(number) == GLONASS and own != NO_CHANNEL else 0.0
+        by_channel = system_of(number) == GLONASS and band_of(int(signal[row[k]])) <= 2
+        channels[k] = own if by_channel and own != NO_CHANNEL else 0.0
 
 
 @kernel_in_place

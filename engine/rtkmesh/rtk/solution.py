@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.integrity import Integrity
+from rtkmesh.gnss.signals import MAX_SATELLITE
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh.rtk.state import DYNAMIC, SLOPE_KEY, ZENITH_KEY
+from rtkmesh.rtk.state import DYNAMIC, ZENITH_KEY
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -203,11 +204,6 @@ class FloatState:
         return self._value(ZENITH_KEY)
 
     @property
-    def glonass_slope_m(self) -> float:
-        """What a phase is off per frequency channel of GLONASS."""
-        return self._value(SLOPE_KEY)
-
-    @property
     def satellites(self) -> NDArray[np.int64]:
         """Satellites whose ionosphere is a state."""
         return self.keys[self._is_ionosphere]
@@ -219,7 +215,7 @@ class FloatState:
 
     @property
     def _is_ionosphere(self) -> NDArray[np.bool_]:
-        return (self.keys != ZENITH_KEY) & (self.keys != SLOPE_KEY)
+        return (self.keys > ZENITH_KEY) & (self.keys < MAX_SATELLITE)
 
     def _value(self, key: int) -> float:
         found = self.shared[self.keys == key]
@@ -238,6 +234,7 @@ class Solution:
     norm of the integer search (0: none).
     ``single_position_ecef_m`` is this epoch's single-point position, ``clocks_s`` (in the order of ``gnss.signals.SYSTEMS``) receiver clock
     minus each system's time. ``grade`` 0 to 3: how many independent validations a fix passed.
+    ``glonass_slopes_m``: what phases on G1 and on G2 are off per frequency channel by the held integers (float solutions cannot tell).
     ``waited_s`` is the time between the rover epoch's arrival and its solving on the deadline clock.
 
     ``fix_probability``: that the integers of a fix are right, as calibrated; 0 without a fix. The protection levels (of a moving base: of
@@ -280,5 +277,6 @@ class Solution:
     protection_vertical_m: float = float("nan")
     integrity: Integrity = Integrity.UNAVAILABLE
     integrity_reason: IntegrityReason = IntegrityReason.NO_SOLUTION
+    glonass_slopes_m: tuple[float, float] = (nan, nan)
     satellites: SatelliteTable = field(default_factory=no_satellites)
     float_state: FloatState = field(default_factory=FloatState)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.gnss.signals import GLONASS, MAX_SATELLITE, SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, MAX_SATELLITE
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.code_arcs import new_codes
 from rtkmesh.rtk.filter import merge_keys, rearrange
@@ -18,8 +18,8 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 ZENITH_KEY: Final = 0
-SLOPE_KEY: Final = GLONASS * SATELLITES_PER_SYSTEM  # GLONASS satellite number 0: no satellite
-FIRST_PAIR_KEY: Final = MAX_SATELLITE  # below: ionosphere states (satellite numbers), the GLONASS slope and the zenith delay
+SLOPE_KEYS: Final = (MAX_SATELLITE + 1, MAX_SATELLITE + 2)  # of GLONASS phases on G1 and on G2
+FIRST_PAIR_KEY: Final = KEYS_PER_SATELLITE  # below: the zenith delay, ionosphere states (satellite numbers) and the GLONASS slopes
 
 # Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last
 # phases minus model (m), ISSUE the ephemeris they were made with; ARC_EPOCHS counts epochs since the ambiguity was begun anew, REJECTS
@@ -90,6 +90,12 @@ def use_keys(f: Filter, current: Indices, time_s: float, maximum_gap_s: float) -
             history[k, ARC_EPOCHS] = -1.0  # to be initialised
             history[k, REJECTS], history[k, SLIPS] = 0.0, 0.0
     return Filter(x, P, keys, history)
+
+
+@kernel_in_place
+def is_ionosphere(key: int) -> bool:
+    """Return whether a key is that of a satellite's ionosphere."""
+    return ZENITH_KEY < key < MAX_SATELLITE
 
 
 @kernel_in_place

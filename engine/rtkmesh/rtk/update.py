@@ -63,8 +63,8 @@ class Layout(NamedTuple):
 
     ambiguity: Indices
     ionosphere: Indices
+    slope: Indices
     zenith: int
-    slope: int
     code_inflation: Vector
     phase_inflation: Vector
 
@@ -177,7 +177,7 @@ def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector
             places[row, AT_IONOSPHERE] = layout.ionosphere[k]
             places[row, AT_AMBIGUITY] = layout.ambiguity[k] if part == 1 else -1
             out[row, H_SLOPE] = table[k, CHANNEL]
-            places[row, AT_SLOPE] = layout.slope if part == 1 and table[k, CHANNEL] != 0.0 else -1
+            places[row, AT_SLOPE] = layout.slope[k] if part == 1 else -1
             y = table[k, CODE] if part == 0 else table[k, PHASE]
             variance = table[k, CODE_VARIANCE] * layout.code_inflation[k] * scale
             if part == 1:

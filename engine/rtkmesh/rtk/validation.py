@@ -44,9 +44,6 @@ from rtkmesh.rtk.memory import (
     LAST_SUCCESS,
     SHOWN,
     SINCE_SEARCH,
-    SLOPE,
-    SLOPE_CHANGE_M,
-    SLOPE_SIGMA,
     STREAK_EPOCHS,
     STREAK_EPOCHS_LEAST,
     STREAK_S,
@@ -57,8 +54,9 @@ from rtkmesh.rtk.memory import (
 )
 from rtkmesh.rtk.predicted import WEAK_M, carry, departure, with_prediction
 from rtkmesh.rtk.redundancy import are_bare
+from rtkmesh.rtk.slopes import learn_slopes, slope_states
 from rtkmesh.rtk.solution import Reason
-from rtkmesh.rtk.state import DYNAMIC, INTEGER, SLOPE_KEY, Filter, place_of
+from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
 from rtkmesh.rtk.witness import witnessed
 
 Vector = NDArray[np.float64]
@@ -181,16 +179,14 @@ def _surer(f: Filter, everything: Candidates, free: Search, held: int, setup: Re
 
 @kernel
 def _learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vector, setup: ResolveSetup) -> None:
-    """Trust GLONASS integers once they agree with those of the others, with a slope that fits; remember the slope."""
-    slope, count = place_of(f.keys, SLOPE_KEY), 0
+    """Trust GLONASS integers once they agree with those of the others, with slopes that fit; remember the slopes."""
+    count = 0
     for satellite in everything.satellite:
         count += 1 if satellite // SATELLITES_PER_SYSTEM == GLONASS else 0
-    if slope < 0 or count < 3:
+    if count < 3 or len(slope_states(f)) == 0:
         return
     if memory[TRUSTS_GLONASS] > 0.0:
-        x, P, wanted = np.empty(1), np.empty((1, 1)), np.full(1, DYNAMIC + slope)
-        if isfinite(condition(f.x, f.P, held, held_differences(f, held), 0.0, wanted, x, P)):
-            memory[SLOPE], memory[SLOPE_SIGMA] = x[0], sqrt(max(P[0, 0], 0.0)) + SLOPE_CHANGE_M
+        learn_slopes(f, held, memory)
         return
     wide = search_all(f, everything, setup)
     fits = wide.resolved and wide.odds >= setup.confidence * ACCEPT_AT_ONCE and wide.norm <= NORM_LIMIT * len(wide.pairs)

@@ -30,7 +30,7 @@ Offset = tuple[float, float, float]
 MAX_RATE_HZ: Final = 50.0
 _LONGEST_DELAY_S: Final = 300.0
 
-_BASE: Final = replace(SURVEY, signals=SURVEY.signals._replace(glonass_slope_m=0.02), steered=True)
+_BASE: Final = replace(SURVEY, signals=SURVEY.signals._replace(glonass_slopes_m=(0.02, 0.018)), steered=True)
 _ROVER: Final = F9P
 _HEADING: Final = replace(F9P, clock_drift=-1.7e-7)
 _MOVING: Final = moving(F9P.signals, 10.0)._replace(slips_per_hour=2.0)

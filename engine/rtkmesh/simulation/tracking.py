@@ -74,7 +74,7 @@ class SignalOptions(NamedTuple):
     half_cycle_share: float = 0.3  # of new arcs and of slips that are wrong by half a cycle until it is resolved
     half_cycle_time_s: float = 3.0  # until the half cycle is resolved
     acquisition_time_s: float = 2.0
-    glonass_slope_m: float = 0.0  # delay per frequency channel
+    glonass_slopes_m: tuple[float, float] = (0.0, 0.0)  # delay per frequency channel, on either of the two bands
     weak_slips_per_hour: float = 0.0  # of each signal at 28 dB-Hz, tenfold for every 2.5 dB less
     untold_share: float = 0.0  # of slips that the receiver does not notice
     loss_cn0_dbhz: float = 24.0  # an attenuated signal that is weaker is lost
@@ -229,7 +229,7 @@ def measure(
             if np.isnan(state[SINCE]) or signals[i, j] < 0:
                 continue
             lock_s, wavelength_m = time_s - state[SINCE], _C / carriers_hz[i, j]
-            slope_m = options.glonass_slope_m * channels[i] if system == GLONASS else 0.0
+            slope_m = options.glonass_slopes_m[j] * channels[i] if system == GLONASS else 0.0
             common_m = geometry[i, RANGE] + _C * (clock_s - states[i, STATE_CLOCK]) + geometry[i, TROPOSPHERE_M] + slope_m
             common_m += view[i, EXTRA_M]
             ionosphere_m = geometry[i, IONOSPHERE_L1_M] * (_L1_HZ / carriers_hz[i, j]) ** 2

@@ -46,8 +46,13 @@ def _states(solution: SolutionMessage, options: TextOptions) -> list[str]:
         f"$VELACC,{head},{_motion(solution)}",
         f"$CLK,{head},1,{_numbers(_clocks_ns(solution, options), 3)}",
         *(f"$TROP,{head},{record}" for record in _numbered(solution.zenith_delays_m)),
-        *(f"$HWBIAS,{head},{record}" for record in _numbered(solution.glonass_slope_m / mhz for mhz in _MHZ_PER_CHANNEL)),
+        *(f"$HWBIAS,{head},{record}" for record in _numbered(_bias_per_mhz(solution))),
     ]
+
+
+def _bias_per_mhz(solution: SolutionMessage) -> Iterator[float]:
+    """Return what phases on G1 and on G2 are off per frequency (m/MHz)."""
+    return (slope_m / mhz for slope_m, mhz in zip(solution.glonass_slopes_m, _MHZ_PER_CHANNEL, strict=True))
 
 
 def _float_position(solution: SolutionMessage) -> Vector:
