@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, satellite_number
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.ambiguity import add_constraints, choose_references, compare_integers, condition, difference
 from rtkmesh.rtk.filter import OK, posterior
@@ -72,6 +72,15 @@ def test_integer_sets_are_compared_up_to_an_offset_per_group():
     shifted[5] = np.nan
     assert compare_integers(keys, values, keys, shifted) == (5, 0)
     assert compare_integers(keys[:3], values[:3], keys[3:], values[3:]) == (0, 0)
+
+
+def test_geostationary_satellites_have_an_offset_of_their_own():
+    """C01 and C02 are off by other integers than C19 to C21, as their clock group may be: nothing differs, nor is a difference hidden."""
+    keys = np.array([satellite_number(name) * KEYS_PER_SATELLITE + 5 for name in ("C01", "C02", "C19", "C20", "C21")])
+    values, offset = np.arange(5.0), np.array([3.0, 3.0, -8.0, -8.0, -8.0])
+    assert compare_integers(keys, values, keys, values + offset) == (3, 0)
+    offset[1] += 1.0
+    assert compare_integers(keys, values, keys, values + offset) == (3, 1)
 
 
 def test_log_odds_ask_more_of_few_ambiguities_and_of_bad_norms():

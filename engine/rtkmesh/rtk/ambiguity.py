@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
-from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.filter import factor, posterior
 from rtkmesh.rtk.lambda_search import NOT_POSITIVE_DEFINITE, OK, bootstrap_success, integer_least_squares
 from rtkmesh.rtk.length_search import Given, nearest_of_length
+from rtkmesh.rtk.matching import clock_group
 from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
 
 Vector = NDArray[np.float64]
@@ -329,7 +330,7 @@ def compare_integers(keys_a: Indices, values_a: Vector, keys_b: Indices, values_
             break
         if keys_b[j] != keys_a[i] or not isfinite(values_a[i]) or not isfinite(values_b[j]):
             continue
-        kind = keys_a[i] // KEYS_PER_SATELLITE // SATELLITES_PER_SYSTEM * KEYS_PER_SATELLITE + keys_a[i] % KEYS_PER_SATELLITE
+        kind = clock_group(keys_a[i] // KEYS_PER_SATELLITE, keys_a[i] % KEYS_PER_SATELLITE)
         offset = values_b[j] - values_a[i]
         g = 0
         while g < groups and kinds[g] != kind:

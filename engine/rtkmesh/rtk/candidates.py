@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SBAS, SIGNALS_PER_SATELLITE
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, difference, gain_of, pairs_of
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.length_search import Given, nearest_of_length
+from rtkmesh.rtk.matching import clock_group
 from rtkmesh.rtk.memory import TRUSTS_GLONASS
 from rtkmesh.rtk.relative import Setup
 from rtkmesh.rtk.single_epoch import sharpness, with_sharper_phases
@@ -101,9 +101,7 @@ def _usable(f: Filter, satellites: SatelliteTable, setup: Setup, *, glonass: boo
     order = np.argsort(wanted)
     seen_s = f.history[:, SEEN_S]
     row = np.flatnonzero(np.isin(f.keys // SIGNALS_PER_SATELLITE, wanted) & (seen_s == seen_s.max(initial=-np.inf)))
-    kind = f.keys[row] // KEYS_PER_SATELLITE // SATELLITES_PER_SYSTEM * KEYS_PER_SATELLITE + f.keys[row] % KEYS_PER_SATELLITE
-    standing = np.array([is_geostationary(number) for number in (f.keys[row] // KEYS_PER_SATELLITE).tolist()], np.bool_)
-    _, group = np.unique(2 * kind + standing, return_inverse=True)  # they have a clock of their own: see ``matching``
+    _, group = np.unique([clock_group(key // KEYS_PER_SATELLITE, key % KEYS_PER_SATELLITE) for key in f.keys[row]], return_inverse=True)
     weight = packed[usable, T_ELEVATION_RAD][order][np.searchsorted(wanted[order], f.keys[row] // SIGNALS_PER_SATELLITE)]
     return Candidates(row, group.astype(np.int64), f.keys[row] // KEYS_PER_SATELLITE, weight)
 

@@ -252,18 +252,24 @@ def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int6
 
 
 @kernel_in_place
-def _keys(count: int, satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16], table: Indices) -> int:
-    """Write the key and the clock group of each pair; return the number of groups (numbered in the order of their content).
+def clock_group(satellite: int, signals: int) -> int:
+    """Return the number of the clock group that a satellite's pair of signals belongs to; groups of one epoch are told apart by it.
 
     BeiDou's geostationary satellites have a clock of their own: between receivers of two makes their phases can be half a cycle off those
     of the others (Nadarajah, Teunissen and Raziq 2013, Sensors 13(7)).
     """
+    return (satellite // SATELLITES_PER_SYSTEM + (_STANDING if is_geostationary(satellite) else 0)) * KEYS_PER_SATELLITE + signals
+
+
+@kernel_in_place
+def _keys(count: int, satellite: NDArray[np.int16], rover_signal: NDArray[np.int16], base_signal: NDArray[np.int16], table: Indices) -> int:
+    """Write the key and the clock group of each pair; return the number of groups (numbered in the order of their content)."""
     kind, kinds, groups = scratch_indices(count), scratch_indices(count), 0
     for k in range(count):
         signals = int(rover_signal[table[ROVER, k]]) * SIGNALS_PER_SATELLITE + int(base_signal[table[BASE, k]])
         number = int(satellite[k])
         table[KEY, k] = number * KEYS_PER_SATELLITE + signals
-        kind[k] = (number // SATELLITES_PER_SYSTEM + (_STANDING if is_geostationary(number) else 0)) * KEYS_PER_SATELLITE + signals
+        kind[k] = clock_group(number, signals)
         place = 0
         while place < groups and kinds[place] < kind[k]:
             place += 1
