@@ -37,10 +37,10 @@ def test_it_is_the_filter_given_no_atmosphere(seed: int) -> None:
     others = np.setdiff1d(np.arange(len(f.x)), ATMOSPHERE)
     gain = f.P[np.ix_(others, ATMOSPHERE)] @ np.linalg.inv(f.P[np.ix_(ATMOSPHERE, ATMOSPHERE)])
     calm = calmed(f)
-    assert calm.x[others] == pytest.approx(f.x[others] - gain @ f.x[ATMOSPHERE], abs=1e-4)
+    assert calm.x[others] == pytest.approx(f.x[others] - gain @ f.x[ATMOSPHERE], abs=1e-9)
     expected = f.P[np.ix_(others, others)] - gain @ f.P[np.ix_(ATMOSPHERE, others)]
-    assert calm.P[np.ix_(others, others)] == pytest.approx(expected, abs=1e-4)
-    assert calm.x[ATMOSPHERE] == pytest.approx(np.zeros(3), abs=1e-6)
+    assert calm.P[np.ix_(others, others)] == pytest.approx(expected, abs=1e-9)
+    assert calm.x[ATMOSPHERE] == pytest.approx(np.zeros(3), abs=1e-12)
 
 
 def test_a_filter_without_atmosphere_stays() -> None:

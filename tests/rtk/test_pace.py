@@ -62,7 +62,7 @@ def told_by(run: Run, epochs: int) -> list[tuple[float, Told]]:
         error_mps = run.doppler_mps * shape @ rng.standard_normal(3)
         velocity = turn @ true_mps(run.motion, time_s) + error_mps if run.doppler_mps else np.full(3, nan)
         walk = walk_of(run.step_s, place_m - before_m, shape @ shape.T, run.noise) if k else no_walk()
-        out.append((time_s, Told(walk, run.sense * velocity, run.doppler_mps**2 * shape @ shape.T)))
+        out.append((time_s, Told(walk, velocity, run.doppler_mps**2 * shape @ shape.T)))
         before_m = place_m
     return out
 

@@ -4,6 +4,7 @@ From ``ATMOSPHERE_FROM_M`` on integers are looked for with what the atmosphere m
 not as good: what tells an ionosphere are two bands, and their phase centres are centimetres apart, at every antenna otherwise.
 """
 
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -11,15 +12,16 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.rtk.acceptance import FAR_M
-from rtkmesh.rtk.filter import posterior
 from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.state import DYNAMIC, ZENITH_KEY, Filter, is_ionosphere
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 # Nearer, what the atmosphere leaves is below the phases' multipath; on one band, where an ionosphere is nearly as free as an ambiguity, the
 # states are worth it from FAR_M on only.
 ATMOSPHERE_FROM_M: Final = 4e3
 _TWO_BANDS: Final = 1.5  # signals per satellite
-_CALM_M: Final = 1e-5  # far below what two bands show of an ionosphere
 
 
 @kernel_in_place
@@ -31,11 +33,25 @@ def is_atmospheric(length_m: float, satellite: NDArray[np.int16]) -> bool:
 
 @kernel
 def calmed(f: Filter) -> Filter:
-    """Return the filter that has been told of no ionosphere and no zenith delay at all; itself if that cannot be."""
-    n = len(f.x)
-    N, b, P, dx = np.zeros((n, n)), np.zeros(n), np.empty((n, n)), np.empty(n)
+    """Return the filter given that there is no ionosphere and no zenith delay."""
+    x, P, gain = f.x.copy(), f.P.copy(), np.empty(len(f.x))
     for k in range(len(f.keys)):
         if f.keys[k] == ZENITH_KEY or is_ionosphere(f.keys[k]):
-            i = DYNAMIC + k
-            N[i, i], b[i] = 1.0 / _CALM_M**2, -f.x[i] / _CALM_M**2
-    return Filter(f.x + dx, P, f.keys, f.history) if posterior(f.P, N, b, P, dx) == 0 else f
+            _take_out(x, P, DYNAMIC + k, gain)
+    return Filter(x, P, f.keys, f.history)
+
+
+@kernel_in_place
+def _take_out(x: Vector, P: Matrix, state: int, gain: Vector) -> None:
+    """Condition on a state that is nothing, for certain; ``gain`` is room."""
+    if not P[state, state] > 0.0:
+        return
+    sigma, n = sqrt(P[state, state]), len(x)
+    for i in range(n):
+        gain[i] = P[state, i] / sigma
+    off = x[state] / sigma
+    for i in range(n):
+        x[i] -= gain[i] * off
+        row, minus = P[i], -gain[i]
+        for j in range(n):
+            row[j] += minus * gain[j]

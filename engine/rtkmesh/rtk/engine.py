@@ -298,21 +298,26 @@ class Rtk:
         circumstances = Circumstances(
             age_s, self._moves, self._sense, around.singles[1], factors, around.satellites, self._resets, self.options
         )
-        motion = self._followed(around, motion_of(single, solved.x, solved.P, circumstances))
+        motion = self._followed(around, solved, circumstances)
         solution = report(rover, single, around.base_ecef_m, solved, motion, circumstances)
         self._satellites = solution.satellites
         return solution
 
-    def _followed(self, around: Around, motion: Moved) -> Moved:
+    def _followed(self, around: Around, solved: Solved, circumstances: Circumstances) -> Moved:
         """Return the motion with the velocity that walks and Dopplers say; of a moving base its Dopplers are among these."""
+        single = around.singles[0]
         if not self._moves or self._is_instantaneous:
-            return motion
-        rover, single, sense = around.rover, around.singles[0], self._sense
-        told = Told(self._past.walk, sense * single.velocity_mps[:3], self._rates[0].factor * single.velocity_cov_m2ps2)
+            return motion_of(single, solved.x, solved.P, circumstances)
+        told = Told(self._past.walk, single.velocity_mps, single.velocity_cov_m2ps2, self._rates[0].factor)
+        acceleration = solved.x[6:9], solved.P[6:9, 6:9]
         if self._base_moves:
-            told = Told(self._past.walk, sense * motion.velocity_mps, np.ascontiguousarray(motion.velocity_cov_m2ps2))
-        followed = self._pace.follow(rover.time, single.clock_s, told, self._motion.horizontal_mps2, sense)
-        return motion if followed is None else Moved(*followed, *motion[2:])
+            motion = motion_of(single, solved.x, solved.P, circumstances)
+            told = Told(self._past.walk, motion.velocity_mps, np.ascontiguousarray(motion.velocity_cov_m2ps2))
+            acceleration = motion[2:]
+        followed = self._pace.follow(around.rover.time, single.clock_s, told, self._motion.horizontal_mps2, self._sense)
+        if followed is None:
+            return motion_of(single, solved.x, solved.P, circumstances)
+        return Moved(*followed, *acceleration)
 
     def _solved_from_past(self, around: Around) -> Solved | None:
         """Return the relative solution of filters that are moved on to the epoch; None where there are none, or they must begin anew."""

@@ -59,11 +59,15 @@ _PLACE, _VELOCITY, _STATES = 0, 3, 9
 
 
 class Told(NamedTuple):
-    """What an epoch tells: the walk, and a velocity (m/s, ECEF) by Dopplers with its covariance; NaN what there is not."""
+    """What an epoch tells: the walk, and a velocity (m/s, ECEF, GPS time) by Dopplers with its covariance; NaN what there is not.
+
+    ``factor`` is by how much that covariance is to be larger.
+    """
 
     walk: Vector
     velocity_mps: Vector
     velocity_cov_m2ps2: Matrix
+    factor: float = 1.0
 
 
 class Pace:
@@ -101,8 +105,8 @@ class Pace:
             self._memory,
             self._cov_m2ps2,
             (tags_s, between_s),
-            jerk_mps2**2,
-            (told.walk, told.velocity_mps, told.velocity_cov_m2ps2),
+            (jerk_mps2**2, sense),
+            (told.walk, told.velocity_mps, told.velocity_cov_m2ps2, told.factor),
         )
         return (sense * self._x[3:6], self._cov_m2ps2.copy()) if seen else None
 
@@ -114,16 +118,16 @@ def follow(
     memory: Vector,
     cov_m2ps2: Matrix,
     step_s: tuple[float, float],
-    density: float,
-    says: tuple[Vector, Vector, Matrix],
+    motion: tuple[float, float],
+    says: tuple[Vector, Vector, Matrix, float],
 ) -> bool:
     """Move states and memory (written to) on by what an epoch tells, and write the covariance (m2/s2) of the velocity; return whether it is
     to be told.
 
-    ``step_s`` is the time since the last epoch, by tags and in truth (NaN: it is the first one); ``density`` (m2/s5) that of jerk; ``says``
-    are the fields of Told.
+    ``step_s`` is the time since the last epoch, by tags and in truth (NaN: it is the first one); ``motion`` the density
+    (m2/s5) of jerk and the sense of the clock; ``says`` are the fields of Told.
     """
-    told, (tags_s, dt) = Told(*says), step_s
+    told, (tags_s, dt), density = _turned(Told(*says), motion[1]), step_s, motion[0]
     memory[SINCE_S] += tags_s
     by_walk = isfinite(told.walk[WALK_S]) and abs(told.walk[WALK_S] - memory[SINCE_S]) < 1e-3 and dt > 0.0
     if not dt > 0.0 or (dt > GAP_S and not by_walk):
@@ -142,6 +146,17 @@ def follow(
     if not is_finite(x, P):
         _begin(x, P, memory)
     return memory[UNSEEN_S] <= GAP_S
+
+
+@kernel
+def _turned(told: Told, sense: float) -> Told:
+    """Return what was told with a velocity on the filter's clock, and its covariance as large as it is to be."""
+    velocity_mps, cov_m2ps2 = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        velocity_mps[i] = sense * told.velocity_mps[i]
+        for j in range(3):
+            cov_m2ps2[i, j] = told.factor * told.velocity_cov_m2ps2[i, j]
+    return Told(told.walk, velocity_mps, cov_m2ps2, 1.0)
 
 
 @kernel_in_place
@@ -216,7 +231,7 @@ def _tried(x: Vector, P: Matrix, memory: Vector, told: Told, known: tuple[float,
     """
     count, dt, chi2 = len(MOTIONS), known[0], np.zeros(len(MOTIONS))
     states, covs, weight = np.empty((count, _STATES)), np.empty((count, _STATES, _STATES)), np.empty(count)
-    R, D = _place_noise(told.walk, known[2], memory[FIRST]), told.velocity_cov_m2ps2.copy()
+    R, D = _place_noise(told.walk, known[2], memory[FIRST]), told.velocity_cov_m2ps2  # written to
     desk, place_m = _desk(), told.walk[WALK_M : WALK_M + 3]
     sway = max(memory[SWAY_CHI2] / memory[SWAY_FREEDOM], 1.0) if has[0] else 1.0
     predict_motion(x, P, dt, DECAY_S, np.zeros((3, 3)))
