@@ -20,9 +20,18 @@ START = GpsTime(2400, 3600.0)
 PHASES, JERK_MPS2 = 12, 3.0
 NOISE_M = 0.0015  # of a phase
 SHAPE = np.linalg.cholesky(np.array([[0.3, 0.05, 0.1], [0.05, 0.25, -0.1], [0.1, -0.1, 0.9]]))
-STANDING: Motion = lambda _t: np.zeros(3)  # noqa: E731
-STEADY: Motion = lambda t: t * np.array([3.0, -4.0, 0.5])  # noqa: E731
-BRAKING: Motion = lambda t: 12.0 * t * np.array([0.6, 0.8, 0.0]) - 0.5 * t * t * np.array([0.9, 1.2, 0.1])  # noqa: E731
+
+
+def standing(_time_s: float) -> Vector:
+    return np.zeros(3)
+
+
+def steady(time_s: float) -> Vector:
+    return time_s * np.array([3.0, -4.0, 0.5])
+
+
+def braking(time_s: float) -> Vector:
+    return 12.0 * time_s * np.array([0.6, 0.8, 0.0]) - 0.5 * time_s * time_s * np.array([0.9, 1.2, 0.1])
 
 
 @dataclass(frozen=True)
@@ -101,14 +110,14 @@ def sigma_mps(found: tuple[Vector, Matrix] | None) -> float:
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_steady_velocity_is_found(step_s: float, sense: float):
     """Without noise to a tenth of a millimetre per second, in both directions of time."""
-    last = followed(told_by(Run(STEADY, step_s, 0.0, sense=sense), 40), sense)[-1]
+    last = followed(told_by(Run(steady, step_s, 0.0, sense=sense), 40), sense)[-1]
     assert known(last)[0] == pytest.approx([3.0, -4.0, 0.5], abs=1e-4)
 
 
 @pytest.mark.parametrize(("step_s", "within_mps"), [(0.1, 0.01), (0.2, 0.02), (1.0, 0.15)])
 def test_the_velocity_is_of_the_instant(step_s: float, within_mps: float):
     """Braking by 1.5 m/s2: the mean over the last interval is 0.75 m/s off at 1 Hz. (Accelerations decay in 5 s: a lag of that is left.)"""
-    run = Run(BRAKING, step_s, 0.0)
+    run = Run(braking, step_s, 0.0)
     told = told_by(run, 8)
     for (time_s, _), one in list(zip(told, followed(told), strict=True))[4:]:
         error_mps = float(np.linalg.norm(known(one)[0] - true_mps(run.motion, time_s)))
@@ -132,9 +141,9 @@ def test_residuals_of_phases_tell_their_variance():
 
 def test_what_stands_is_known_to_millimetres_per_second():
     """Within ten seconds; what lasts in phases, of which these have nothing, leaves the sigma larger than the error."""
-    squares = np.concatenate([misses(Run(STANDING, seed=seed), 60, 10) for seed in range(10)])
+    squares = np.concatenate([misses(Run(standing, seed=seed), 60, 10) for seed in range(10)])
     assert 0.05 < squares.mean() < 1.0
-    assert sigma_mps(followed(told_by(Run(STANDING), 20))[-1]) < 0.005
+    assert sigma_mps(followed(told_by(Run(standing), 20))[-1]) < 0.005
 
 
 @pytest.mark.parametrize("doppler_mps", [0.0, 0.05])
@@ -180,7 +189,7 @@ def test_dopplers_tell_a_sway_that_no_epoch_shows():
 # --- what must not be believed ---
 
 
-@pytest.mark.parametrize("motion", [STANDING, STEADY])
+@pytest.mark.parametrize("motion", [standing, steady])
 @pytest.mark.parametrize("slip_m", [0.03, 0.1, 0.25])
 def test_a_slip_that_passes_makes_the_velocity_unsure(motion: Motion, slip_m: float):
     """One walk is wrong, though its phases agree with each other: the error is within three sigmas, and gone after four epochs."""
@@ -195,7 +204,7 @@ def test_a_slip_that_passes_makes_the_velocity_unsure(motion: Motion, slip_m: fl
 
 def test_a_walk_from_another_epoch_is_not_of_this_place():
     """It spans two intervals, but the last epoch had none: the place that it began at is not known any more."""
-    told = told_by(Run(STEADY, noise=0.0), 20)
+    told = told_by(Run(steady, noise=0.0), 20)
     lost, double = replace_walk(told[18], no_walk()), told[19][1].walk.copy()
     double[WALK_S], double[WALK_M : WALK_M + 3] = 2.0, 2.0 * double[WALK_M : WALK_M + 3] + 5.0
     with_it, without = ([*told[:18], lost, replace_walk(told[19], walk)] for walk in (double, no_walk()))
@@ -209,7 +218,7 @@ def replace_walk(told: tuple[float, Told], walk: Vector) -> tuple[float, Told]:
 
 def test_without_walks_and_dopplers_a_velocity_is_soon_none():
     """It grows unsure, and after GAP_S is not told; the next walks are a beginning."""
-    told = told_by(Run(STEADY), 40)
+    told = told_by(Run(steady), 40)
     silent = [*told[:20], *(replace_walk(one, no_walk()) for one in told[20:30]), *told[30:]]
     found = followed(silent)
     sigmas = [sigma_mps(found[k]) for k in range(19, 20 + int(GAP_S))]
@@ -220,9 +229,9 @@ def test_without_walks_and_dopplers_a_velocity_is_soon_none():
 
 def test_a_gap_of_the_receiver_is_a_beginning_unless_a_walk_spans_it():
     """Epochs of 30 s have walks of 30 s; after 10 s without one the motion is forgotten."""
-    slow = followed(told_by(Run(STANDING, 30.0), 20))
+    slow = followed(told_by(Run(standing, 30.0), 20))
     assert sigma_mps(slow[-1]) < 0.003
-    told = told_by(Run(STEADY, noise=0.0), 22)
+    told = told_by(Run(steady, noise=0.0), 22)
     later = replace_walk((told[20][0] + 10.0, told[20][1]), no_walk())
     assert followed([*told[:20], later])[-1] is None
 
@@ -240,7 +249,7 @@ def test_a_clock_that_jumps_moves_no_velocity():
 
 def test_what_is_not_finite_is_forgotten():
     """A velocity without end is none, and the next epochs are a beginning."""
-    told = told_by(Run(STEADY, noise=0.0), 30)
+    told = told_by(Run(steady, noise=0.0), 30)
     told[20][1].walk[WALK_M] = 1e300
     with np.errstate(all="ignore"):  # without compilation numpy warns
         found = followed(told)
@@ -255,7 +264,7 @@ def test_turned_axes_are_turned_velocities():
     """No direction is another one."""
     rng = np.random.default_rng(3)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    run = Run(BRAKING, 0.2, 1.0, 0.05)
+    run = Run(braking, 0.2, 1.0, 0.05)
     for one, other in zip(followed(told_by(run, 40)), followed(told_by(replace(run, turn=turn), 40)), strict=True):
         assert turn @ known(one)[0] == pytest.approx(known(other)[0], abs=1e-7)
         assert turn @ known(one)[1] @ turn.T == pytest.approx(known(other)[1], rel=1e-5, abs=1e-9)
@@ -263,7 +272,7 @@ def test_turned_axes_are_turned_velocities():
 
 def test_the_same_twice_and_by_a_copy():
     """Bit by bit; the copy goes its own way."""
-    told = told_by(Run(BRAKING, 0.2, 1.0, 0.05), 40)
+    told = told_by(Run(braking, 0.2, 1.0, 0.05), 40)
     pace = Pace()
     first = followed(told[:20], pace=pace)
     other = pace.copy()
@@ -278,7 +287,7 @@ def test_the_same_twice_and_by_a_copy():
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_covariance_is_one(sense: float):
     """Symmetric and positive definite, also where everything fits without noise."""
-    for one in followed(told_by(Run(BRAKING, 0.2, 0.0, sense=sense), 60), sense)[1:]:
+    for one in followed(told_by(Run(braking, 0.2, 0.0, sense=sense), 60), sense)[1:]:
         cov = known(one)[1]
         assert np.array_equal(cov, cov.T)
         assert np.linalg.eigvalsh(cov)[0] > 0.0
