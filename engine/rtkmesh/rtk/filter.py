@@ -87,6 +87,21 @@ def reset_state(x: Vector, P: Matrix, i: int, value: float, variance: float) -> 
 
 
 @kernel_in_place
+def take_value(x: Vector, P: Matrix, i: int, value: float, variance: float) -> None:
+    """Take in an observation of one state with this variance."""
+    n = len(x)
+    gain = scratch(n)
+    spread = P[i, i] + variance
+    innovation = value - x[i]
+    for a in range(n):
+        gain[a] = P[a, i] / spread
+        x[a] += gain[a] * innovation
+    for a in range(n):
+        for b in range(n):
+            P[a, b] -= gain[a] * gain[b] * spread
+
+
+@kernel_in_place
 def predict_motion(x: Vector, P: Matrix, dt_s: float, decay_s: float, Q: Matrix) -> None:
     """Move position, velocity and acceleration (states 0 to 8) ahead by ``dt_s``.
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_table
+from rtkmesh.rtk.filter import take_value
 from rtkmesh.rtk.separation import normalised_square
 from rtkmesh.rtk.state import Filter
 
@@ -29,17 +30,8 @@ def with_prediction(f: Filter, prediction: Vector) -> Filter:
 @kernel_in_place
 def take_place(x: Vector, P: Matrix, place_m: Vector, variance_m2: float) -> None:
     """Take in, as an observation with this variance of each coordinate, where the rover is (m; the first three states)."""
-    n = len(x)
-    gain = scratch(n)
     for i in range(3):
-        spread = P[i, i] + variance_m2
-        innovation = place_m[i] - x[i]
-        for a in range(n):
-            gain[a] = P[a, i] / spread
-            x[a] += gain[a] * innovation
-        for a in range(n):
-            for b in range(n):
-                P[a, b] -= gain[a] * gain[b] * spread
+        take_value(x, P, i, place_m[i], variance_m2)
 
 
 @kernel_in_place

@@ -54,9 +54,9 @@ from rtkmesh.rtk.memory import (
 )
 from rtkmesh.rtk.predicted import WEAK_M, carry, departure, with_prediction
 from rtkmesh.rtk.redundancy import are_bare
-from rtkmesh.rtk.slopes import learn_slopes, slope_states
 from rtkmesh.rtk.solution import Reason
-from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
+from rtkmesh.rtk.state import DYNAMIC, Filter
+from rtkmesh.rtk.trust import learn_glonass
 from rtkmesh.rtk.witness import witnessed
 
 Vector = NDArray[np.float64]
@@ -72,7 +72,6 @@ SHARP_M: Final = 0.25  # beyond this a prediction tells little that the float so
 SELF_RELIANT: Final = 5  # so many held integers need no prediction
 LARGE_COUNT: Final = 24
 SEARCH_EVERY: Final = 5  # epochs between free searches of a large set that has been confirmed
-GLONASS_EPOCHS: Final = 10  # epochs in which GLONASS must have fitted before it is trusted
 FIX_SIGMA_M: Final = 0.15  # a fix must be this good: who reads FIX expects centimetres
 # ... and so good where the codes are those of streets: phases are reflected there too, which no sigma knows of. Of 18635 simulated fixes in
 # streets 143 were off by more than 0.15 m, 141 with such codes; 85 with sigmas beyond this, most of them with right integers.
@@ -146,7 +145,7 @@ def decide(
         try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told, is_reflected(level))
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
-        _learn_glonass(f, everything, held, memory, setup)
+        learn_glonass(f, everything, held, memory, setup.confidence)
     return free
 
 
@@ -175,27 +174,6 @@ def _surer(f: Filter, everything: Candidates, free: Search, held: int, setup: Re
     told = witnessed(f, everything)
     same = held < 3 or compare_integers(f.keys, free.values, f.keys, told.values)[1] == 0
     return told if told.odds > free.odds and same else free
-
-
-@kernel
-def _learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vector, setup: ResolveSetup) -> None:
-    """Trust GLONASS integers once they agree with those of the others, with slopes that fit; remember the slopes."""
-    count = 0
-    for satellite in everything.satellite:
-        count += 1 if satellite // SATELLITES_PER_SYSTEM == GLONASS else 0
-    if count < 3 or len(slope_states(f)) == 0:
-        return
-    if memory[TRUSTS_GLONASS] > 0.0:
-        learn_slopes(f, held, memory)
-        return
-    wide = search_all(f, everything, setup)
-    fits = wide.resolved and wide.odds >= setup.confidence * ACCEPT_AT_ONCE and wide.norm <= NORM_LIMIT * len(wide.pairs)
-    if not fits or compare_integers(f.keys, f.history[:, INTEGER].copy(), f.keys, wide.values)[1] > 0:
-        memory[GLONASS_VOTES] = 0.0
-        return
-    memory[GLONASS_VOTES] += 1.0
-    if memory[GLONASS_VOTES] >= GLONASS_EPOCHS:
-        memory[TRUSTS_GLONASS] = 1.0
 
 
 @kernel

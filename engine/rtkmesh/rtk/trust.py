@@ -1,0 +1,107 @@
+"""From when on the integers of GLONASS are trusted: when what is held of the others has determined them for some epochs.
+
+Whole cycles for each channel, and a slope that is a wavelength steeper: that is nearly the same phases, and the rover in nearly the same
+place. So integers may seem to have a runner-up that nothing but the slope's size tells from them, and of receivers' slopes that is known:
+between two of them it is up to 5 cm (Wanninger 2012, J. Geodesy 86:139-148; 54 mm on one of our recordings), so within ``STEEPEST_M``.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.models.odds import NORM_LIMIT, log_odds
+from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, condition, held_differences, pack_pairs, pairs_of, search_pairs, take
+from rtkmesh.rtk.filter import take_value
+from rtkmesh.rtk.lambda_search import OK
+from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, GLONASS_VOTES, TRUSTS_GLONASS
+from rtkmesh.rtk.slopes import learn_slopes, slope_states
+from rtkmesh.rtk.state import Filter
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+TRUSTED_AFTER: Final = 10  # epochs in which GLONASS must have fitted
+STEEPEST_M: Final = 0.1  # per channel
+TOLD_SIGMA_M: Final = 0.01  # of a slope that is told: a twentieth of a cycle, so that a wrong one is not for ever
+RIVALS: Final = 8  # vectors among which the first with a slope that may be is looked for
+
+
+class Given(NamedTuple):
+    """States of the filter given what is held: ambiguities of GLONASS, whose ``pairs`` are places in ``x`` as the ``slopes`` are."""
+
+    x: Vector
+    P: Matrix
+    pairs: Indices
+    slopes: Indices
+
+
+@kernel
+def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vector, confidence: float) -> None:
+    """Trust GLONASS integers once what is held has determined them for some epochs; remember the slopes."""
+    glonass = take(everything, everything.satellite // SATELLITES_PER_SYSTEM == GLONASS)
+    states = slope_states(f)
+    if len(glonass.row) < 3 or len(states) == 0:
+        return
+    if memory[TRUSTS_GLONASS] > 0.0:
+        learn_slopes(f, held, memory)
+        return
+    slopes_m, odds = found_slopes(f, pairs_of(glonass), states, held)
+    if odds < confidence * ACCEPT_AT_ONCE:
+        memory[GLONASS_VOTES] = 0.0
+        return
+    memory[GLONASS_VOTES] += 1.0
+    if memory[GLONASS_VOTES] >= TRUSTED_AFTER:
+        memory[TRUSTS_GLONASS] = 1.0
+        for k in range(len(states)):
+            take_value(f.x, f.P, states[k], slopes_m[k], TOLD_SIGMA_M**2)
+
+
+@kernel
+def found_slopes(f: Filter, pairs: Indices, states: Indices, held: Indices) -> tuple[Vector, float]:
+    """Return the slopes (m) that the best integers of GLONASS's double differences have, given what is held, and the log odds of these
+    integers; - infinity if they do not fit.
+    """
+    n = len(pairs)
+    slopes, fixed, norms = np.empty((RIVALS, len(states))), np.zeros((RIVALS, n)), np.zeros(RIVALS)
+    known = _given(f, pairs, states, held)
+    if n == 0 or len(known.x) == 0 or search_pairs(known.x, known.P, known.pairs, NODE_LIMIT, fixed, norms)[0] != OK:
+        return slopes[0], -np.inf
+    room = np.empty((len(states), len(states)))
+    for k in range(RIVALS):
+        condition(known.x, known.P, known.pairs, fixed[k], 0.0, known.slopes, slopes[k], room)
+    if not norms[0] <= NORM_LIMIT * n or _is_steep(slopes[0]):
+        return slopes[0], -np.inf
+    return slopes[0], log_odds(norms[0], norms[_rival(slopes)], n)
+
+
+@kernel_in_place
+def _rival(slopes: Matrix) -> int:
+    """Return the first vector after the best whose slopes may be, the last one if there is none."""
+    for k in range(1, len(slopes)):
+        if not _is_steep(slopes[k]):
+            return k
+    return len(slopes) - 1
+
+
+@kernel_in_place
+def _is_steep(slopes_m: Vector) -> bool:
+    steep = False
+    for slope_m in slopes_m:
+        steep = steep or not abs(slope_m) <= STEEPEST_M
+    return steep
+
+
+@kernel
+def _given(f: Filter, pairs: Indices, slopes: Indices, held: Indices) -> Given:
+    """Return the ambiguities of these double differences, and the slopes, given what is held; empty where that contradicts itself."""
+    packed, wanted = pairs.copy(), np.empty(pairs.size + len(slopes), np.int64)
+    count = pack_pairs(packed, wanted)
+    m = count + len(slopes)
+    wanted[count:m] = slopes
+    x, P = np.empty(m), np.empty((m, m))
+    norm = condition(f.x, f.P, held, held_differences(f, held), 0.0, wanted[:m], x, P)
+    return Given(x[:0] if norm == np.inf else x, P, packed, np.arange(count, m))
