@@ -29,6 +29,7 @@ from rtkmesh.rtk.memory import (
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.slopes import without_slopes
 from rtkmesh.rtk.state import ARC_S, DYNAMIC, INTEGER, STREAK, Filter
+from rtkmesh.rtk.trust import possible, tell_slopes
 from rtkmesh.rtk.witness import LEAST, others_of
 
 Vector = NDArray[np.float64]
@@ -81,7 +82,7 @@ def try_new(
             flat = without_slopes(f)
             sloped, straight = search_all(f, everything, setup), search_all(flat, everything, setup)
             slopeless = straight.odds > sloped.odds and bears_out(f, sloped, straight)
-            with_glonass = straight if slopeless else sloped
+            with_glonass = straight if slopeless else (sloped if isfinite(setup.length_m) else possible(f, sloped))
             if with_glonass.odds > best.odds:
                 best, penalty, wide, needed = with_glonass, log(SUBSETS), True, max(asked, ACCEPT_AT_ONCE)
                 level = flat if slopeless else f
@@ -108,6 +109,7 @@ def try_new(
     if wide:  # the slope that GLONASS fits with is known now
         f.x[:], f.P[:, :] = level.x, level.P
         memory[TRUSTS_GLONASS] = 1.0
+        tell_slopes(f, best.pairs, best.integers)
     _hold(f, best)
     memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED] = time_s, 0.0, 0.0
     good = penalty == 0.0 and best.norm <= GOOD_FIT * len(best.pairs)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, log_odds
-from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, condition, held_differences, pack_pairs, pairs_of, search_pairs, take
+from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, Search, condition, held_differences, pack_pairs, pairs_of, search_pairs, take
 from rtkmesh.rtk.filter import take_value
 from rtkmesh.rtk.lambda_search import OK
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, GLONASS_VOTES, TRUSTS_GLONASS
@@ -56,8 +56,7 @@ def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vect
     memory[GLONASS_VOTES] += 1.0
     if memory[GLONASS_VOTES] >= TRUSTED_AFTER:
         memory[TRUSTS_GLONASS] = 1.0
-        for k in range(len(states)):
-            take_value(f.x, f.P, states[k], slopes_m[k], TOLD_SIGMA_M**2)
+        _tell(f, states, slopes_m)
 
 
 @kernel
@@ -70,9 +69,7 @@ def found_slopes(f: Filter, pairs: Indices, states: Indices, held: Indices) -> t
     known = _given(f, pairs, states, held)
     if n == 0 or len(known.x) == 0 or search_pairs(known.x, known.P, known.pairs, NODE_LIMIT, fixed, norms)[0] != OK:
         return slopes[0], -np.inf
-    room = np.empty((len(states), len(states)))
-    for k in range(RIVALS):
-        condition(known.x, known.P, known.pairs, fixed[k], 0.0, known.slopes, slopes[k], room)
+    _slopes_of(known.x, known.P, known.pairs, fixed, known.slopes, slopes)
     if not norms[0] <= NORM_LIMIT * n or _is_steep(slopes[0]):
         return slopes[0], -np.inf
     return slopes[0], log_odds(norms[0], norms[_rival(slopes)], n)
@@ -93,6 +90,44 @@ def _is_steep(slopes_m: Vector) -> bool:
     for slope_m in slopes_m:
         steep = steep or not abs(slope_m) <= STEEPEST_M
     return steep
+
+
+@kernel
+def possible(f: Filter, sloped: Search) -> Search:
+    """Return the search of all ambiguities with its odds against the best integers whose slopes may be; as it is where its own may not."""
+    states, pairs, n = slope_states(f), sloped.pairs, len(sloped.pairs)
+    fixed, norms, slopes = np.zeros((RIVALS, n)), np.zeros(RIVALS), np.empty((RIVALS, len(states)))
+    if not sloped.resolved or search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)[0] != OK:
+        return sloped
+    _slopes_of(f.x, f.P, pairs, fixed, states, slopes)
+    if _is_steep(slopes[0]):
+        return sloped
+    second = norms[_rival(slopes)]
+    odds = log_odds(norms[0], second, n)
+    return Search(pairs, sloped.integers, sloped.values, norms[0], second, sloped.success, odds, True)
+
+
+@kernel
+def tell_slopes(f: Filter, pairs: Indices, integers: Vector) -> None:
+    """Tell the filter, roughly, the slopes that these integers have."""
+    states = slope_states(f)
+    found, room = np.empty(len(states)), np.empty((len(states), len(states)))
+    if condition(f.x, f.P, pairs, integers, 0.0, states, found, room) < np.inf:
+        _tell(f, states, found)
+
+
+@kernel_in_place
+def _tell(f: Filter, states: Indices, slopes_m: Vector) -> None:
+    for k in range(len(states)):
+        take_value(f.x, f.P, states[k], slopes_m[k], TOLD_SIGMA_M**2)
+
+
+@kernel
+def _slopes_of(x: Vector, P: Matrix, pairs: Indices, fixed: Matrix, states: Indices, out: Matrix) -> None:
+    """Write the slopes (m) of each of these integer vectors."""
+    room = np.empty((len(states), len(states)))
+    for k in range(len(fixed)):
+        condition(x, P, pairs, fixed[k], 0.0, states, out[k], room)
 
 
 @kernel
