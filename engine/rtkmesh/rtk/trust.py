@@ -13,12 +13,24 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, log_odds
-from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, Search, condition, held_differences, pack_pairs, pairs_of, search_pairs, take
+from rtkmesh.rtk.ambiguity import (
+    NODE_LIMIT,
+    Candidates,
+    Search,
+    compare_integers,
+    condition,
+    held_differences,
+    pack_pairs,
+    pairs_of,
+    search,
+    search_pairs,
+    take,
+)
 from rtkmesh.rtk.filter import take_value
 from rtkmesh.rtk.lambda_search import OK
-from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, GLONASS_VOTES, TRUSTS_GLONASS
+from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, GLONASS_VOTES, TRUSTS_GLONASS, ResolveSetup
 from rtkmesh.rtk.slopes import learn_slopes, slope_states
-from rtkmesh.rtk.state import Filter
+from rtkmesh.rtk.state import INTEGER, Filter
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -40,8 +52,10 @@ class Given(NamedTuple):
 
 
 @kernel
-def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vector, confidence: float) -> None:
-    """Trust GLONASS integers once what is held has determined them for some epochs; remember the slopes."""
+def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vector, setup: ResolveSetup) -> None:
+    """Trust GLONASS integers once what is held has determined them, and has not been contradicted by both together, for some epochs;
+    remember the slopes.
+    """
     glonass = take(everything, everything.satellite // SATELLITES_PER_SYSTEM == GLONASS)
     states = slope_states(f)
     if len(glonass.row) < 3 or len(states) == 0:
@@ -50,13 +64,20 @@ def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vect
         learn_slopes(f, held, memory)
         return
     slopes_m, odds = found_slopes(f, pairs_of(glonass), states, held)
-    if odds < confidence * ACCEPT_AT_ONCE:
+    if odds < setup.confidence * ACCEPT_AT_ONCE or _contradicted(f, everything, setup):
         memory[GLONASS_VOTES] = 0.0
         return
     memory[GLONASS_VOTES] += 1.0
     if memory[GLONASS_VOTES] >= TRUSTED_AFTER:
         memory[TRUSTS_GLONASS] = 1.0
         _tell(f, states, slopes_m)
+
+
+@kernel
+def _contradicted(f: Filter, everything: Candidates, setup: ResolveSetup) -> bool:
+    """Return whether the best integers of all are others than those that are held."""
+    wide = search(f, everything, setup.length_m, setup.length_sigma_m)
+    return not wide.resolved or compare_integers(f.keys, f.history[:, INTEGER].copy(), f.keys, wide.values)[1] > 0
 
 
 @kernel

@@ -145,7 +145,7 @@ def decide(
         try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told, is_reflected(level))
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
-        learn_glonass(f, everything, held, memory, setup.confidence)
+        learn_glonass(f, everything, held, memory, setup)
     return free
 
 
