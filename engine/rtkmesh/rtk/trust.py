@@ -82,8 +82,8 @@ def _contradicted(f: Filter, everything: Candidates, setup: ResolveSetup) -> boo
 
 @kernel
 def found_slopes(f: Filter, pairs: Indices, states: Indices, held: Indices) -> tuple[Vector, float]:
-    """Return the slopes (m) that the best integers of GLONASS's double differences have, given what is held, and the log odds of these
-    integers; - infinity if they do not fit.
+    """Return the slopes (m) that the best integers of GLONASS's double differences have, given what is held, and the log odds against the
+    best that have others; - infinity if they do not fit. Integers with these slopes may be others: they are not told.
     """
     n = len(pairs)
     slopes, fixed, norms = np.empty((RIVALS, len(states))), np.zeros((RIVALS, n)), np.zeros(RIVALS)
@@ -93,16 +93,24 @@ def found_slopes(f: Filter, pairs: Indices, states: Indices, held: Indices) -> t
     _slopes_of(known.x, known.P, known.pairs, fixed, known.slopes, slopes)
     if not norms[0] <= NORM_LIMIT * n or _is_steep(slopes[0]):
         return slopes[0], -np.inf
-    return slopes[0], log_odds(norms[0], norms[_rival(slopes)], n)
+    return slopes[0], log_odds(norms[0], norms[_rival(slopes, TOLD_SIGMA_M)], n)
 
 
 @kernel_in_place
-def _rival(slopes: Matrix) -> int:
-    """Return the first vector after the best whose slopes may be, the last one if there is none."""
+def _rival(slopes: Matrix, apart_m: float) -> int:
+    """Return the first vector after the best whose slopes may be, and are so far from the best one's; the last one if there is none."""
     for k in range(1, len(slopes)):
-        if not _is_steep(slopes[k]):
+        if not _is_steep(slopes[k]) and _distance_m(slopes[0], slopes[k]) >= apart_m:
             return k
     return len(slopes) - 1
+
+
+@kernel_in_place
+def _distance_m(one: Vector, other: Vector) -> float:
+    largest = 0.0
+    for k in range(len(one)):
+        largest = max(largest, abs(one[k] - other[k]))
+    return largest
 
 
 @kernel_in_place
@@ -123,7 +131,7 @@ def possible(f: Filter, sloped: Search) -> Search:
     _slopes_of(f.x, f.P, pairs, fixed, states, slopes)
     if _is_steep(slopes[0]):
         return sloped
-    second = norms[_rival(slopes)]
+    second = norms[_rival(slopes, 0.0)]
     odds = log_odds(norms[0], second, n)
     return Search(pairs, sloped.integers, sloped.values, norms[0], second, sloped.success, odds, True)
 
