@@ -30,6 +30,7 @@ from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.crossing import plain
+from rtkmesh.rtk.ionosphere_change import change_ionosphere
 from rtkmesh.rtk.matching import census
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
 from rtkmesh.rtk.noise import new_code_scale
@@ -186,10 +187,14 @@ class Rtk:
         """
         if self._is_instantaneous:
             self._forget()
+        before = self._point.klobuchar
         if klobuchar is not self._klobuchar:
             self._klobuchar, self._point = klobuchar, self._point_setup(klobuchar)
         issues, base_single, self._satellites = ephemerides.issues, None, None
         single = locate_epoch(rover, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
+        if self._state is not None and before is not self._point.klobuchar:
+            places_ecef_m, time = (self._state.rover_ecef_m, self._state.base_ecef_m), (rover.time.week, rover.time.tow_s)
+            change_ionosphere(self._state.filter, single, issues.channel, time, places_ecef_m, before, self._point.klobuchar)
         self._single = single
         self._rates[0].learn(rover.time, single.quality)
         if self._is_single:
