@@ -15,6 +15,9 @@ from numba.np import arrayobj
 from numpy.typing import NDArray
 
 from rtkmesh._borrowing import BorrowingCompiler
+from rtkmesh._loading import load_machine_code_alone
+
+load_machine_code_alone()
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -102,6 +105,12 @@ def scratch_table(rows: int, columns: int) -> NDArray[np.float64]:
 def scratch_indices(count: int) -> NDArray[np.int64]:
     """Return so many integers, not set to anything, that are gone when the kernel returns."""
     return np.empty(count, np.int64)
+
+
+@_from_stack(types.int64, 2)
+def scratch_index_table(rows: int, columns: int) -> NDArray[np.int64]:
+    """Return a table of integers, not set to anything, that is gone when the kernel returns."""
+    return np.empty((rows, columns), np.int64)
 
 
 @_from_stack(types.boolean, 1)

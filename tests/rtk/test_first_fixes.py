@@ -19,10 +19,12 @@ from rtkmesh.rtk.asked_odds import (
     code_level,
     is_street,
 )
-from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
+from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory, resolve_setup
 from rtkmesh.rtk.noise import learn_codes, new_code_scale
+from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.slopes import without_slopes
-from rtkmesh.rtk.state import DYNAMIC
+from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
+from rtkmesh.rtk.validation import decide, is_clear
 from rtkmesh.rtk.witness import LEAST, RIVALS, witnessed
 
 
@@ -61,6 +63,22 @@ def test_a_witness_helps_and_does_not_mislead():
         wrong += int(told.odds >= ASKED_OF_WITNESSED and (told.integers != true).any())
     assert clear[2] > 1.5 * max(clear[0], clear[1])
     assert wrong == 0
+
+
+@pytest.mark.parametrize("level", [1.0, FAIR_CODES + 0.1, np.inf])
+def test_an_epoch_by_itself_is_as_clear_as_what_is_decided_by(level):
+    """A look without the past goes no further where its odds, with a witness or without one, are not those that are asked of it."""
+    rng, setup, helped = np.random.default_rng(4), resolve_setup(AmbiguityOptions(), None, 0.01), 0
+    for _ in range(12):
+        f, everything = floating(rng)
+        f.history[:, INTEGER] = np.nan
+        alone = Candidates(*(column[:GPS] for column in everything))
+        copy = Filter(*(part.copy() for part in f))
+        odds = decide(copy, everything, new_memory(), setup, np.full(7, np.nan), 0.0, level).odds
+        assert is_clear(f, everything, new_memory(), setup, level, odds)
+        assert not is_clear(f, everything, new_memory(), setup, level, np.nextafter(odds, np.inf))
+        helped += odds > search(f, alone, np.nan, 0.01).odds
+    assert (helped > 0) == (level <= FAIR_CODES)
 
 
 @pytest.mark.parametrize(("gps", "least"), [(LEAST + 1, OPEN_SLOPE_LEAST), (LEAST, OPEN_SLOPE_FEW)])

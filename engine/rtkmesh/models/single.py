@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, scratch, scratch_index_table, scratch_table
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.ephemeris import KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch, Signals
@@ -208,22 +208,26 @@ class Located(NamedTuple):
 
 def locate_epoch(epoch: Epoch, issues: Issues, setup: PointSetup, start_ecef_m: Vector) -> Located:
     """Find position and velocity of a receiver as ``locate`` does."""
-    return _locate(epoch.plain_signals, tuple(issues), tuple(setup), start_ecef_m)
+    return Located(*_locate(epoch.plain_signals, tuple(issues), tuple(setup), start_ecef_m))
 
 
 @kernel
-def _locate(signals: Plain, issues: Plain, setup: Plain, start_ecef_m: Vector) -> Located:
-    return locate(Signals(*signals), Issues(*issues), PointSetup(*setup), start_ecef_m)
+def _locate(signals: Plain, issues: Plain, setup: Plain, start_ecef_m: Vector) -> Plain:
+    found = locate(Signals(*signals), Issues(*issues), PointSetup(*setup), start_ecef_m)
+    return (
+        found.status, found.position_ecef_m, found.covariance_m2, found.clock_s, found.clocks_s, found.velocity_mps,
+        found.velocity_cov_m2ps2, found.quality, found.satellites, found.rows, found.states, found.geometry, found.work,
+    )  # fmt: skip
 
 
 @kernel
 def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Vector) -> Located:
     """Find position and velocity from codes and Dopplers; the iteration starts at ``start_ecef_m`` (not finite: the earth's centre)."""
-    chosen = np.empty((len(signals.satellite), 2), np.int64)
+    chosen = scratch_index_table(len(signals.satellite), 2)
     count = choose_codes(
         signals.satellite, signals.signal, signals.pseudorange_m, signals.cn0_dbhz, setup.allowed, setup.cn0_mask_dbhz, chosen
     )
-    satellites, codes_m = np.empty(count, np.int16), np.empty(count)
+    satellites, codes_m = np.empty(count, np.int16), scratch(count)
     for k in range(count):
         satellites[k], codes_m[k] = signals.satellite[chosen[k, 0]], signals.pseudorange_m[chosen[k, 0]]
     rows, states, geometry = np.empty((count, ROW)), np.empty((count, STATE)), np.empty((count, GEOMETRY))
@@ -233,9 +237,10 @@ def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Ve
         rows, signals.satellite, signals.signal, signals.channel, signals.pseudorange_m, signals.doppler_hz, signals.cn0_dbhz,
         signals.pseudorange_sigma_m, chosen[:count], setup.free_of_ionosphere, work,
     )  # fmt: skip
-    position, clocks_m = start_ecef_m.copy(), np.zeros(CLOCKS)
-    cofactor, quality = np.empty((UNKNOWNS, UNKNOWNS)), np.full(QUALITY, np.nan)
-    velocity, rate_cofactor = np.full(4, np.nan), np.full((4, 4), np.nan)
+    position, clocks_m = start_ecef_m.copy(), scratch(CLOCKS)
+    cofactor, quality = scratch_table(UNKNOWNS, UNKNOWNS), np.full(QUALITY, np.nan)
+    velocity, rate_cofactor = np.full(4, np.nan), scratch_table(4, 4)
+    clocks_m[:], rate_cofactor[:, :] = 0.0, np.nan
     if not np.isfinite(position[0] + position[1] + position[2]):
         position[:] = 0.0
     if satellite_states(rows, signals.week, signals.tow_s, codes_m, states) < 4:

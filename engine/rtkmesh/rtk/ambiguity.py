@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratch_indices, scratch_table
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.models.odds import log_odds
 from rtkmesh.rtk.filter import factor, posterior
@@ -56,13 +56,15 @@ class Search(NamedTuple):
 
 @kernel
 def take(candidates: Candidates, mask: NDArray[np.bool_]) -> Candidates:
-    """Return those of the mask."""
+    """Return those of the mask: the same ones, where that is all of them."""
     n = len(mask)
-    kept, count = np.empty(n, np.int64), 0
+    kept, count = scratch_indices(n), 0
     for k in range(n):
         if mask[k]:
             kept[count] = k
             count += 1
+    if count == n:
+        return candidates
     row, group, satellite, weight = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count)
     for i in range(count):
         k = kept[i]
@@ -74,7 +76,7 @@ def take(candidates: Candidates, mask: NDArray[np.bool_]) -> Candidates:
 def pairs_of(candidates: Candidates) -> Indices:
     """Return (state, reference) of all double differences that the candidates form."""
     n = len(candidates.row)
-    states, out = np.empty(n, np.int64), np.empty((n, 2), np.int64)
+    states, out = scratch_indices(n), np.empty((n, 2), np.int64)
     for k in range(n):
         states[k] = candidates.row[k] + DYNAMIC
     return out[: choose_references(states, candidates.group, candidates.weight, out)]
@@ -278,12 +280,27 @@ def pack_pairs(pairs: Indices, wanted: Indices) -> int:
 
 
 @kernel
+def held_among(f: Filter, candidates: Candidates) -> Candidates:
+    """Return the candidates that have a held integer."""
+    held = scratch_flags(len(candidates.row))
+    for k in range(len(held)):
+        held[k] = isfinite(f.history[candidates.row[k], INTEGER])
+    return take(candidates, held)
+
+
+@kernel
 def held_differences(f: Filter, pairs: Indices) -> Vector:
     """Return the held integers of (state, reference) pairs."""
     out = np.empty(len(pairs))
+    write_held_differences(f, pairs, out)
+    return out
+
+
+@kernel_in_place
+def write_held_differences(f: Filter, pairs: Indices, out: Vector) -> None:
+    """Write what ``held_differences`` returns."""
     for k in range(len(pairs)):
         out[k] = f.history[pairs[k, 0] - DYNAMIC, INTEGER] - f.history[pairs[k, 1] - DYNAMIC, INTEGER]
-    return out
 
 
 @kernel_in_place

@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
+from rtkmesh.gnss.frames import write_enu, write_geodetic
 from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SBAS, SIGNALS_PER_SATELLITE, band_of
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.code_arcs import inflation_of
@@ -98,14 +98,18 @@ class Motion(NamedTuple):
     decay_s: float
 
 
-@kernel
+@kernel_in_place
 def move(f: Filter, dt_s: float, motion: Motion, base_ecef_m: Vector, sigmas: Vector) -> None:
     """Move the dynamic states on; what stood until now begins to move with these ``sigmas``."""
     if f.P[3, 3] < 1e-9:
         for i in range(3, DYNAMIC):
             reset_state(f.x, f.P, i, 0.0, sigmas[i // 3] ** 2)
-    geodetic = geodetic_from_ecef(base_ecef_m + f.x[:3])
-    turn, Q, h, v = enu_from_ecef(geodetic[0], geodetic[1]), np.empty((3, 3)), motion.horizontal_mps2**2, motion.vertical_mps2**2
+    place_ecef_m, geodetic, turn, Q = scratch(3), scratch(3), scratch_table(3, 3), scratch_table(3, 3)
+    for i in range(3):
+        place_ecef_m[i] = base_ecef_m[i] + f.x[i]
+    write_geodetic(place_ecef_m, geodetic)
+    write_enu(geodetic[0], geodetic[1], turn)
+    h, v = motion.horizontal_mps2**2, motion.vertical_mps2**2
     for i in range(3):
         for j in range(3):
             Q[i, j] = h * (turn[0, i] * turn[0, j] + turn[1, i] * turn[1, j]) + v * turn[2, i] * turn[2, j]
@@ -164,7 +168,7 @@ def wanted_keys(pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, 
     ``atmosphere`` is 1, and with 2 an ionosphere per satellite with a code too.
     """
     n = len(pair_key)
-    keys, count = np.empty(2 * n + 3, np.int64), 0
+    keys, count = scratch_indices(2 * n + 3), 0
     sloped = 0
     if atmosphere > 0:
         count = _insert(keys, count, ZENITH_KEY)
@@ -310,7 +314,7 @@ def find_candidates(
 
     SBAS satellites have none.
     """
-    chosen, count = np.empty(len(layout.ambiguity), np.int64), 0
+    chosen, count = scratch_indices(len(layout.ambiguity)), 0
     for k in range(len(chosen)):
         if int(d.pairs.satellite[k]) // 64 == SBAS:
             continue
@@ -362,10 +366,11 @@ def lay_out(
     known_step = isfinite(dt)
     wanted = wanted_keys(d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere)
     f = use_keys(before, wanted, times_s[0], max(slips.maximum_gap_s, 2.5 * dt if known_step else 0.0))
-    ambiguity, ionosphere, slope = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    places = np.empty((3, n), np.int64)
+    ambiguity, ionosphere, slope = places[0], places[1], places[2]
     find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere == 2, ambiguity, ionosphere, slope)
     begin_shared(f, walks, times_s[0], ionosphere)
-    verdicts = Verdicts(np.zeros(n, np.int64), np.zeros(n))
+    verdicts = Verdicts(scratch_indices(n), scratch(n))
     tested = find_slips(d, f.history, ambiguity, times_s, slips, expected, verdicts)
     apply_slips(f.x, f.P, f.history, ambiguity, verdicts, DYNAMIC, times_s[0])
     take_half_cycles(d.table, f.history, ambiguity)

@@ -4,14 +4,14 @@ From ``ATMOSPHERE_FROM_M`` on integers are looked for with what the atmosphere m
 not as good: what tells an ionosphere are two bands, and their phase centres are centimetres apart, at every antenna otherwise.
 """
 
-from math import sqrt
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch_table
 from rtkmesh.rtk.acceptance import FAR_M
+from rtkmesh.rtk.filter import take_out
 from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.state import DYNAMIC, ZENITH_KEY, Filter, is_ionosphere
 
@@ -34,24 +34,8 @@ def is_atmospheric(length_m: float, satellite: NDArray[np.int16]) -> bool:
 @kernel
 def calmed(f: Filter) -> Filter:
     """Return the filter given that there is no ionosphere and no zenith delay."""
-    x, P, gain = f.x.copy(), f.P.copy(), np.empty(len(f.x))
+    x, P, room = f.x.copy(), f.P.copy(), scratch_table(2, len(f.x))
     for k in range(len(f.keys)):
         if f.keys[k] == ZENITH_KEY or is_ionosphere(f.keys[k]):
-            _take_out(x, P, DYNAMIC + k, gain)
+            take_out(x, P, DYNAMIC + k, room)
     return Filter(x, P, f.keys, f.history)
-
-
-@kernel_in_place
-def _take_out(x: Vector, P: Matrix, state: int, gain: Vector) -> None:
-    """Condition on a state that is nothing, for certain; ``gain`` is room."""
-    if not P[state, state] > 0.0:
-        return
-    sigma, n = sqrt(P[state, state]), len(x)
-    for i in range(n):
-        gain[i] = P[state, i] / sigma
-    off = x[state] / sigma
-    for i in range(n):
-        x[i] -= gain[i] * off
-        row, minus = P[i], -gain[i]
-        for j in range(n):
-            row[j] += minus * gain[j]

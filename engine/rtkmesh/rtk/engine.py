@@ -29,7 +29,7 @@ from rtkmesh.rtk.bookkeeping import Motion
 from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
-from rtkmesh.rtk.crossing import plain
+from rtkmesh.rtk.crossing import plain, renamed
 from rtkmesh.rtk.ionosphere_change import change_ionosphere
 from rtkmesh.rtk.matching import census
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
@@ -43,7 +43,7 @@ from rtkmesh.rtk.report import FIGURES, IS_FIXED, Circumstances, Moved, from_sin
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.setup import setup_of
 from rtkmesh.rtk.solution import Reason, SatelliteTable, Solution
-from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, FilterState, filter_at, length_m
+from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, Filter, FilterState, filter_at, length_m
 from rtkmesh.rtk.step import ASTRAY, Step, move_on, take_step
 from rtkmesh.rtk.walk import no_walk
 
@@ -271,7 +271,8 @@ class Rtk:
         fixed = self.options.fixed_position_ecef_m if self._is_fixed else None
         start = around.singles[0].position_ecef_m if fixed is None else np.array(fixed)
         sigmas = SEED_FIXED if fixed is not None else (SEED_MOVING if self._moves else SEED_STANDING)
-        witness, informed = (filter_at(start - around.base_ecef_m, sigmas) for _ in range(2))
+        witness = filter_at(start - around.base_ecef_m, sigmas)
+        informed = Filter(witness.x.copy(), witness.P.copy(), witness.keys, witness.history)
         return FilterState(around.rover.time, witness, informed, base_ecef_m=around.base_ecef_m.copy())
 
     def _clock_s(self, state: FilterState, time: GpsTime) -> float:
@@ -286,7 +287,7 @@ class Rtk:
 
     def _relative(self, around: Around) -> Solution:
         rover, base, single = around.rover, around.bases[0], around.singles[0]
-        self._past.walk[:] = nan
+        self._past.walk.fill(nan)
         solved = self._solved_from_past(around) or self._solved_from_here(around)
         state, age_s = self._state, rover.time - base.time
         if state is None or solved is None:
@@ -310,19 +311,17 @@ class Rtk:
 
     def _followed(self, around: Around, solved: Solved, circumstances: Circumstances) -> Moved:
         """Return the motion with the velocity that walks and Dopplers say; of a moving base its Dopplers are among these."""
-        single = around.singles[0]
-        if not self._moves or self._is_instantaneous:
-            return motion_of(single, solved.x, solved.P, circumstances)
+        single, motion = around.singles[0], None
         told = Told(self._past.walk, single.velocity_mps, single.velocity_cov_m2ps2, self._rates[0].factor)
-        acceleration = solved.x[6:9], solved.P[6:9, 6:9]
-        if self._base_moves:
+        if self._base_moves or not self._moves or self._is_instantaneous:
             motion = motion_of(single, solved.x, solved.P, circumstances)
+            if not self._moves or self._is_instantaneous:
+                return motion
             told = Told(self._past.walk, motion.velocity_mps, np.ascontiguousarray(motion.velocity_cov_m2ps2))
-            acceleration = motion[2:]
         followed = self._pace.follow(around.rover.time, single.clock_s, told, self._motion.horizontal_mps2, self._sense)
         if followed is None:
-            return motion_of(single, solved.x, solved.P, circumstances)
-        return Moved(*followed, *acceleration)
+            return motion or motion_of(single, solved.x, solved.P, circumstances)
+        return Moved(*followed, *(motion[2:] if motion else (solved.x[6:9], solved.P[6:9, 6:9])))
 
     def _solved_from_past(self, around: Around) -> Solved | None:
         """Return the relative solution of filters that are moved on to the epoch; None where there are none, or they must begin anew."""
@@ -359,8 +358,8 @@ class Rtk:
         learned = past.learned(step_s)
         if len(around.bases) == 1:
             filters, signals = (tuple(state.filter), tuple(state.informed)), (around.rover.plain_signals, base.plain_signals)
-            given = tuple(single), channel, klobuchar, tuple(step), tuple(known)
-            solved = take_step(filters, signals, *given, self._plain_setup)
+            given = tuple(single), channel, klobuchar, (*step[:-1], tuple(step.motion)), tuple(known)
+            solved = renamed(take_step(filters, signals, *given, self._plain_setup))
         else:
             solved = self._solved_with_several(state, around, step, known)
         past.count_in_part(learned, step_s)

@@ -78,6 +78,20 @@ def rearrange(x: Vector, P: Matrix, source: Indices, dynamic: int) -> tuple[Vect
 
 
 @kernel_in_place
+def take_out(x: Vector, P: Matrix, state: int, room: Matrix) -> None:
+    """Condition on a state that is nothing, for certain; ``room`` is two rows to work in."""
+    value, variance, gain, row, n = x[state], P[state, state], room[0], room[1], len(x)
+    if not variance > 0.0:
+        return
+    for i in range(n):
+        gain[i], row[i] = P[i, state] / variance, P[state, i]
+    for i in range(n):
+        x[i] -= gain[i] * value
+        for j in range(n):
+            P[i, j] -= gain[i] * row[j]
+
+
+@kernel_in_place
 def reset_state(x: Vector, P: Matrix, i: int, value: float, variance: float) -> None:
     """Forget what is known of state i."""
     for j in range(len(x)):
@@ -275,11 +289,11 @@ def posterior(P: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int
 def posterior_of(U: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int:
     """Write P_new and dx as ``posterior`` does, for P = U'U; U (written to) becomes V."""
     n = len(b)
-    return _posterior_in(np.empty((3, n, n)), scratch(n), U, N, b, P_new, dx)
+    return posterior_in(np.empty((3, n, n)), scratch(n), U, N, b, P_new, dx)
 
 
 @kernel_in_place
-def _posterior_in(room: Cube, minus: Vector, U: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int:
+def posterior_in(room: Cube, minus: Vector, U: Matrix, N: Matrix, b: Vector, P_new: Matrix, dx: Vector) -> int:
     """Do what ``posterior_of`` does with room for three matrices and a vector."""
     n, F = len(b), room[0]
     _inner(U, N, room[1], room[2], F)

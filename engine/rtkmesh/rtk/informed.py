@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
-from rtkmesh.rtk.ambiguity import Candidates, Search, held_differences, pairs_of, take, tell
+from rtkmesh.rtk.ambiguity import Candidates, Search, held_among, held_differences, pairs_of, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
-from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup, is_held
+from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, PHASE, Differences
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, ZENITH_KEY, Filter, is_ionosphere, place_of
@@ -85,7 +85,7 @@ def settle(
     setup: ResolveSetup, prediction: Vector, level: float,
 ) -> Settled:  # fmt: skip
     """Tell the informed filter what the witness holds after ``decide``, and let it answer, if it has enough integers; else the witness."""
-    held, time_s = pairs_of(take(candidates, is_held(witness, candidates))), motion.times_s[0]
+    held, time_s = pairs_of(held_among(witness, candidates)), motion.times_s[0]
     if len(held) < 4:
         memory[INFORMED] = 0.0
         return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level, False), _nothing(informed), 0.0)
@@ -154,7 +154,7 @@ def inform(before: Filter, witness: Filter, d: Differences, motion: Motion, use:
         return Informed(_nothing(witness), candidates, np.zeros((0, 2), np.int64), np.inf)
     remember(f, sharp, layout, outcome.phase_used, motion.times_s[0])
     adopt(f, witness)
-    held = pairs_of(take(candidates, is_held(f, candidates)))
+    held = pairs_of(held_among(f, candidates))
     norm = norm_of(f, held, held_differences(f, held))
     tell(f, held, held_differences(f, held), _TOLD_CYC2)
     return Informed(f, candidates, held, strain(f, length_m) if norm <= NORM_LIMIT * len(held) else np.inf)

@@ -19,7 +19,6 @@ from rtkmesh.rtk.asked_odds import SURVEY_CODES
 from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.memory import CONFIRMED, HELD_SINCE_S, INFORMED, UNAGREED
 from rtkmesh.rtk.noise import phase_factor
-from rtkmesh.rtk.published import held_satellites
 from rtkmesh.rtk.residuals import Differences
 from rtkmesh.rtk.separation import (
     CLOCK,
@@ -191,11 +190,12 @@ def protect(levels: Vector, judged: Vector, other: Place, ranges: Ranges, whole:
 
 @kernel
 def guard(
-    f: Filter, d: Differences, layout: Layout, update: Update, codes: Codes, resolution: Resolution, scale: Matrix, memory: Vector,
-    setup: IntegritySetup, level: float, modelled_m: Vector,
+    f: Filter, d: Differences, layout: Layout, update: Update, codes: Codes, resolution: Resolution, held: tuple[int, int], scale: Matrix,
+    memory: Vector, setup: IntegritySetup, level: float, modelled_m: Vector,
 ) -> Guard:  # fmt: skip
-    """Return what integrity finds; ``codes`` are what the epoch's codes say alone, ``level`` is the variance factor of codes that odds are
-    judged by, ``modelled_m`` the baseline (ECEF) that the differences were modelled for.
+    """Return what integrity finds; ``codes`` are what the epoch's codes say alone, ``held`` of how many satellites integers are held and of
+    how many systems these are, ``level`` is the variance factor of codes that odds are judged by, ``modelled_m`` the baseline (ECEF) that
+    the differences were modelled for.
     """
     if not setup.watching:
         return no_guard()
@@ -211,8 +211,7 @@ def guard(
     length_m = sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2)
     phases = phase_ranges(f, d, layout, update.phase_used, phase_factor(scale), turn, length_m > FAR_M)
     by_phases = solve_epoch(phases)
-    satellites, systems = held_satellites(f, d, layout)
-    wrong = wrong_probability(resolution.odds, memory[UNAGREED], satellites - systems, length_m, level)
+    wrong = wrong_probability(resolution.odds, memory[UNAGREED], held[0] - held[1], length_m, level)
     float_test = np.nan
     if setup.independent:
         float_test = square_apart(fixed, floating) / chi2_limit(3.0)

@@ -1,16 +1,18 @@
 """How new ambiguities join the held ones: when these (and a prediction of the rover's place) determine them."""
 
+from math import isfinite
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, scratch_flags
 from rtkmesh.rtk.ambiguity import (
     NODE_LIMIT,
     Candidates,
     Search,
     condition,
+    held_among,
     held_differences,
     held_references,
     pack_pairs,
@@ -19,7 +21,6 @@ from rtkmesh.rtk.ambiguity import (
     take,
 )
 from rtkmesh.rtk.lambda_search import OK
-from rtkmesh.rtk.memory import is_held
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, INTEGER, Filter
 
 Vector = NDArray[np.float64]
@@ -35,11 +36,11 @@ def join(f: Filter, aided: Filter, candidates: Candidates, held: Indices, fit: f
     """Give integers to ambiguities that the held ones (and a prediction) determine: all of the new ones, or without the newer, at last the
     oldest alone; ``fit`` is the squared norm that each may have, ``groups`` whether clock groups of which none is held may join.
     """
-    known = is_held(f, candidates)
-    new = np.empty(len(known), np.bool_)
-    for k in range(len(known)):
-        new[k] = not known[k] and f.history[candidates.row[k], ARC_EPOCHS] >= 1.0
-    fresh, old = take(candidates, new), take(candidates, known)
+    new, old = scratch_flags(len(candidates.row)), held_among(f, candidates)
+    for k in range(len(new)):
+        history = f.history[candidates.row[k]]
+        new[k] = not isfinite(history[INTEGER]) and history[ARC_EPOCHS] >= 1.0
+    fresh = take(candidates, new)
     nearest = np.empty(len(fresh.row), np.int64)
     count = held_references(fresh.group, old.group, old.weight, nearest)
     if groups and count < len(nearest):

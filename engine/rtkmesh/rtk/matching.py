@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place, scratch_indices
+from rtkmesh._jit import kernel, kernel_in_place, scratch_index_table, scratch_indices
 from rtkmesh.gnss.beidou import is_geostationary
 from rtkmesh.gnss.epoch import Signals
 from rtkmesh.gnss.signals import ATTRIBUTES, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SIGNALS_PER_SATELLITE, SYSTEMS, allowed_satellites
@@ -102,7 +102,7 @@ def match(rover: Signals, base: Signals, rules: Rules) -> Pairs:
     rover_usable, base_usable = scratch_indices(len(rover.satellite)), scratch_indices(len(base.satellite))
     _usable(rover.pseudorange_m, rover.phase_cyc, rover.cn0_dbhz, rules.cn0_mask_dbhz, rover_usable)
     _usable(base.pseudorange_m, base.phase_cyc, base.cn0_dbhz, rules.cn0_mask_dbhz, base_usable)
-    rows = np.empty((min(len(rover.satellite), len(base.satellite)), 3), np.int64)
+    rows = scratch_index_table(min(len(rover.satellite), len(base.satellite)), 3)
     count = _match(
         rover.satellite, rover.signal, rover_usable, base.satellite, base.signal, base_usable, rules.allowed, rules.frequencies,
         rules.order, rules.rank, rules.family, rows,
@@ -237,18 +237,16 @@ def census(rover: NDArray[np.int16], base: NDArray[np.int16]) -> tuple[int, int,
     return missing, count_runs(rover), count_runs(base)
 
 
-@kernel
-def runs(ordered: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the different values of a sorted array, where each begins, and per entry the number of its value."""
-    n = len(ordered)
-    values, first, index = np.empty(n, np.int16), np.empty(n, np.int64), np.empty(n, np.int64)
+@kernel_in_place
+def runs(ordered: NDArray[np.int16], first: Indices, index: Indices) -> int:
+    """Write where each value of a sorted array begins, and per entry the number of its value; return how many there are."""
     count = 0
-    for k in range(n):
+    for k in range(len(ordered)):
         if k == 0 or ordered[k] != ordered[k - 1]:
-            values[count], first[count] = ordered[k], k
+            first[count] = k
             count += 1
         index[k] = count - 1
-    return values[:count].copy(), first[:count].copy(), index
+    return count
 
 
 @kernel_in_place

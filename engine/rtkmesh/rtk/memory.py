@@ -4,15 +4,14 @@ Thresholds that several of its steps share are here; they are log odds (see ``mo
 model.
 """
 
-from math import inf, isfinite, log, nan
+from math import inf, log, nan
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place
 from rtkmesh.models.odds import PRIOR_DOF
-from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions
 from rtkmesh.rtk.state import INTEGER, Filter
 
@@ -35,7 +34,8 @@ SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geo
     FIX_SIGMA, AGREED_S, PROVEN_S, NOTED_S,
 ) = range(26)  # fmt: skip
 MEMORY: Final = 26
-_OF_RECEIVERS: Final = [TRUSTS_GLONASS, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2]
+_OF_INTEGERS: Final = np.ones(MEMORY, np.bool_)
+_OF_INTEGERS[[TRUSTS_GLONASS, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2]] = False
 _NOTHING: Final = np.zeros(MEMORY)
 _NOTHING[[STREAK_START_S, HELD_SINCE_S, LAST_FIX_S]] = inf
 _NOTHING[[LAST_COUNT, NOTED_S]] = -1.0, -inf
@@ -74,18 +74,7 @@ def new_memory() -> Vector:
 
 def forget(memory: Vector) -> None:
     """Forget the integers; what was learned of GLONASS belongs to the receivers and stays."""
-    kept = memory[_OF_RECEIVERS]
-    memory[:] = _NOTHING
-    memory[_OF_RECEIVERS] = kept
-
-
-@kernel
-def is_held(f: Filter, candidates: Candidates) -> NDArray[np.bool_]:
-    """Return which candidates have a held integer."""
-    out = np.empty(len(candidates.row), np.bool_)
-    for k in range(len(out)):
-        out[k] = isfinite(f.history[candidates.row[k], INTEGER])
-    return out
+    np.copyto(memory, _NOTHING, where=_OF_INTEGERS)
 
 
 @kernel_in_place

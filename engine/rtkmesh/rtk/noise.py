@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place
 from rtkmesh.gnss.signals import SYSTEMS
 
 Vector = NDArray[np.float64]
@@ -57,14 +57,12 @@ def new_code_scale() -> Matrix:
     return np.zeros((3, len(SYSTEMS)))
 
 
-@kernel
-def code_factors(scale: Matrix, trial: Matrix) -> Vector:
-    """Return the variance factor per system by what is known and the ``trial`` sums and degrees of freedom."""
-    out = np.empty(scale.shape[1])
+@kernel_in_place
+def code_factors(scale: Matrix, trial: Matrix, out: Vector) -> None:
+    """Write the variance factor per system by what is known and the ``trial`` sums and degrees of freedom."""
     for k in range(len(out)):
         raw = (SCALE_PRIOR_DOF + scale[SQUARES, k] + trial[SQUARES, k]) / (SCALE_PRIOR_DOF + scale[DOF, k] + trial[DOF, k])
         out[k] = min(max(raw, SCALE_LEAST), SCALE_MOST)
-    return out
 
 
 @kernel_in_place

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place, scratch, scratch_table
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.around import FULL_STEP_S
 from rtkmesh.rtk.bookkeeping import is_finite
@@ -27,7 +27,6 @@ from rtkmesh.rtk.walk import WALK_COFACTOR, WALK_FREEDOM, WALK_M, WALK_S, WALK_S
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-Cube = NDArray[np.float64]
 
 # Density of white jerk of each motion as a part of the options'. At 1 Hz the velocity is within 2.7, 0.9 and 0.15 m/s (each axis) of what
 # walks say: the least is what a walker's sway or a hull does between two epochs. The others stand, or begin to move so slowly.
@@ -111,7 +110,7 @@ class Pace:
         return (sense * self._x[3:6], self._cov_m2ps2.copy()) if seen else None
 
 
-@kernel
+@kernel_in_place
 def follow(
     x: Vector,
     P: Matrix,
@@ -127,7 +126,9 @@ def follow(
     ``step_s`` is the time since the last epoch, by tags and in truth (NaN: it is the first one); ``motion`` the density
     (m2/s5) of jerk and the sense of the clock; ``says`` are the fields of Told.
     """
-    told, (tags_s, dt), density = _turned(Told(*says), motion[1]), step_s, motion[0]
+    (tags_s, dt), density = step_s, motion[0]
+    told = Told(says[0], scratch(3), scratch_table(3, 3), 1.0)
+    _turn(Told(*says), motion[1], told)
     memory[SINCE_S] += tags_s
     by_walk = isfinite(told.walk[WALK_S]) and abs(told.walk[WALK_S] - memory[SINCE_S]) < 1e-3 and dt > 0.0
     if not dt > 0.0 or (dt > GAP_S and not by_walk):
@@ -139,7 +140,9 @@ def follow(
     if by_walk and by_doppler:
         learn_sway(memory, joined, dt)
     memory[UNSEEN_S] = 0.0 if by_walk or by_doppler else memory[UNSEEN_S] + dt
-    cov_m2ps2[:, :] = P[3:6, 3:6]
+    for i in range(3):
+        for j in range(3):
+            cov_m2ps2[i, j] = P[_VELOCITY + i, _VELOCITY + j]
     if by_walk:
         _add_lasting(cov_m2ps2, told.walk, memory[SQUARES_M2] / memory[FREEDOM], dt)
     _stand_here(x, P, memory, told.walk, by_walk)
@@ -148,15 +151,13 @@ def follow(
     return memory[UNSEEN_S] <= GAP_S
 
 
-@kernel
-def _turned(told: Told, sense: float) -> Told:
-    """Return what was told with a velocity on the filter's clock, and its covariance as large as it is to be."""
-    velocity_mps, cov_m2ps2 = np.empty(3), np.empty((3, 3))
+@kernel_in_place
+def _turn(told: Told, sense: float, out: Told) -> None:
+    """Write the velocity that was told on the filter's clock, and its covariance as large as it is to be."""
     for i in range(3):
-        velocity_mps[i] = sense * told.velocity_mps[i]
+        out.velocity_mps[i] = sense * told.velocity_mps[i]
         for j in range(3):
-            cov_m2ps2[i, j] = told.factor * told.velocity_cov_m2ps2[i, j]
-    return Told(told.walk, velocity_mps, cov_m2ps2, 1.0)
+            out.velocity_cov_m2ps2[i, j] = told.factor * told.velocity_cov_m2ps2[i, j]
 
 
 @kernel_in_place
@@ -223,21 +224,27 @@ def _add_lasting(cov_m2ps2: Matrix, walk: Vector, variance_m2: float, dt_s: floa
 # --- motions ---
 
 
-@kernel
+@kernel_in_place
 def _tried(x: Vector, P: Matrix, memory: Vector, told: Told, known: tuple[float, float, float], has: tuple[bool, bool]) -> float:
     """Try all motions, weigh and join them; return the chi-square of the Doppler velocity, in the mean.
 
     ``known``: step (s), density of jerk (m2/s5), variance of time differences (m2); ``has``: there is a walk, a Doppler velocity.
     """
-    count, dt, chi2 = len(MOTIONS), known[0], np.zeros(len(MOTIONS))
-    states, covs, weight = np.empty((count, _STATES)), np.empty((count, _STATES, _STATES)), np.empty(count)
-    R, D = _place_noise(told.walk, known[2], memory[FIRST]), told.velocity_cov_m2ps2  # written to
-    desk, place_m = _desk(), told.walk[WALK_M : WALK_M + 3]
+    count, dt, chi2 = len(MOTIONS), known[0], scratch(len(MOTIONS))
+    states, covs, weight = scratch_table(count, _STATES), scratch_table(count * _STATES, _STATES), scratch(count)
+    R, D, place_m = scratch_table(3, 3), told.velocity_cov_m2ps2, told.walk[WALK_M : WALK_M + 3]  # R and D are written to
+    desk = Desk(scratch_table(3, 3), scratch_table(3, 3), scratch_table(3, _STATES), scratch(3), scratch_table(3, 3))
+    chi2[:] = 0.0
+    _place_noise(told.walk, known[2], memory[FIRST], R)
+    _set_standing(desk)
     sway = max(memory[SWAY_CHI2] / memory[SWAY_FREEDOM], 1.0) if has[0] else 1.0
-    predict_motion(x, P, dt, DECAY_S, np.zeros((3, 3)))
+    predict_motion(x, P, dt, DECAY_S, desk.S)
     for k in range(count):
-        state, cov = states[k], covs[k]
-        state[:], cov[:, :] = x, P
+        state, cov = states[k], covs[k * _STATES : (k + 1) * _STATES]
+        for i in range(_STATES):
+            state[i] = x[i]
+            for j in range(_STATES):
+                cov[i, j] = P[i, j]
         _disturb(cov, dt, MOTIONS[k] * known[1])
         weight[k] = log(memory[k] + (1.0 - exp(-dt / CHANGE_S)) * (1.0 / count - memory[k]))
         if k >= MOVING:
@@ -256,14 +263,12 @@ def _tried(x: Vector, P: Matrix, memory: Vector, told: Told, known: tuple[float,
     return mean
 
 
-@kernel
-def _place_noise(walk: Vector, variance_m2: float, first: float) -> Matrix:
-    """Return the covariance (m2) of the place that a walk leads to: half that of a time difference; the first one has that of both ends."""
-    R = np.empty((3, 3))
+@kernel_in_place
+def _place_noise(walk: Vector, variance_m2: float, first: float, R: Matrix) -> None:
+    """Write the covariance (m2) of the place that a walk leads to: half that of a time difference; the first one has that of both ends."""
     for i in range(3):
         for j in range(3):
             R[i, j] = 0.5 * (1.0 + first) * variance_m2 * walk[WALK_COFACTOR + 3 * i + j]
-    return R
 
 
 @kernel_in_place
@@ -289,12 +294,12 @@ class Desk(NamedTuple):
     slow: Matrix
 
 
-@kernel
-def _desk() -> Desk:
-    slow = np.zeros((3, 3))
+@kernel_in_place
+def _set_standing(desk: Desk) -> None:
+    """Write what stands; the room for a covariance is nothing yet."""
+    desk.S[:, :], desk.nothing[:], desk.slow[:, :] = 0.0, 0.0, 0.0
     for i in range(3):
-        slow[i, i] = STANDING_MPS**2
-    return Desk(np.empty((3, 3)), np.empty((3, 3)), np.empty((3, _STATES)), np.zeros(3), slow)
+        desk.slow[i, i] = STANDING_MPS**2
 
 
 @kernel_in_place
@@ -365,8 +370,8 @@ def _weigh(weight: Vector, memory: Vector) -> None:
 
 
 @kernel_in_place
-def _join(states: Matrix, covs: Cube, memory: Vector, x: Vector, P: Matrix) -> None:
-    """Write mean and covariance of the weighted motions."""
+def _join(states: Matrix, covs: Matrix, memory: Vector, x: Vector, P: Matrix) -> None:
+    """Write mean and covariance of the weighted motions; ``covs`` are one below the other."""
     x[:], P[:, :] = 0.0, 0.0
     for k in range(len(states)):
         for i in range(_STATES):
@@ -374,4 +379,4 @@ def _join(states: Matrix, covs: Cube, memory: Vector, x: Vector, P: Matrix) -> N
     for k in range(len(states)):
         for i in range(_STATES):
             for j in range(_STATES):
-                P[i, j] += memory[k] * (covs[k, i, j] + (states[k, i] - x[i]) * (states[k, j] - x[j]))
+                P[i, j] += memory[k] * (covs[k * _STATES + i, j] + (states[k, i] - x[i]) * (states[k, j] - x[j]))

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_table
+from rtkmesh.gnss.frames import enu_from_ecef, geodetic_from_ecef, write_enu, write_geodetic
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.asked_odds import is_reflected
@@ -73,8 +73,12 @@ def fix_covariance(
     multipath of successive epochs for independent. All of it counts where the epoch alone hardly sees a direction.
     ``modelled_m`` is the baseline (ECEF) that the differences were modelled for.
     """
-    geodetic, filters = geodetic_from_ecef(base_ecef_m + modelled_m), phase_factor(scale)
-    turn = enu_from_ecef(geodetic[0], geodetic[1])
+    geodetic, turn, back, filters = scratch(3), scratch_table(3, 3), scratch_table(3, 3), phase_factor(scale)
+    write_geodetic(base_ecef_m + modelled_m, geodetic)
+    write_enu(geodetic[0], geodetic[1], turn)
+    for i in range(3):
+        for j in range(3):
+            back[i, j] = turn[j, i]
     length_m = sqrt(modelled_m[0] ** 2 + modelled_m[1] ** 2 + modelled_m[2] ** 2)
     epoch = solve_epoch(phase_ranges(f, d, layout, update.phase_used, 1.0, turn, length_m > FAR_M))
     if sure and epoch.dof > 0:
@@ -87,7 +91,7 @@ def fix_covariance(
     enu[0, 0] += (SMOOTH_HORIZONTAL * length_m) ** 2
     enu[1, 1] += (SMOOTH_HORIZONTAL * length_m) ** 2
     enu[2, 2] += (SMOOTH_VERTICAL * length_m) ** 2
-    return _turned(enu, turn.T.copy(), 1.0)
+    return _turned(enu, back, 1.0)
 
 
 @kernel

@@ -37,7 +37,7 @@ class RateErrors:
 
     def learn(self, time: GpsTime, quality: NDArray[np.float64]) -> None:
         """Take in an epoch's Dopplers, as its single point's ``quality`` tells of them; without velocity the factor says nothing."""
-        squares, freedom = float(quality[RATE_CHI2]), float(quality[RATE_FREEDOM])
+        squares, freedom = quality.item(RATE_CHI2), quality.item(RATE_FREEDOM)
         if not isfinite(squares):
             self.factor = 1.0
             return

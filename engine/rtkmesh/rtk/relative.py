@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags
 from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
@@ -32,7 +32,7 @@ from rtkmesh.rtk.slips import SLOW_S, SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.time_differences import unit_variance_m2
 from rtkmesh.rtk.update import update
-from rtkmesh.rtk.validation import TOO_RISKY, TOO_UNCERTAIN, decide, fix, not_resolved, withheld
+from rtkmesh.rtk.validation import TOO_RISKY, TOO_UNCERTAIN, decide, fix, is_clear, not_resolved, withheld
 from rtkmesh.rtk.walk import WALK_COFACTOR, WALK_FREEDOM, WALK_M, WALK_S, WALK_SQUARES_M2
 
 Vector = NDArray[np.float64]
@@ -192,13 +192,16 @@ def differences_of(
 def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
     """Return the relative solution of single differences: the steps of an epoch."""
     figures, time_s, model_ecef_m = np.zeros(FIGURES), known.times_s[0], known.base_ecef_m + before.x[:3]
-    if distinct(d.pairs.satellite, np.isfinite(d.table[:, CODE])) < 4:
+    coded = scratch_flags(len(d.table))
+    for k in range(len(coded)):
+        coded[k] = isfinite(d.table[k, CODE])
+    if distinct(d.pairs.satellite, coded) < 4:
         return Solved(FEW_COMMON, before, informed, before.x, before.P, figures, np.zeros((0, 0)), before.P)
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     atmospheric = is_atmospheric(length_m, d.pairs.satellite)
     atmosphere, walks = 2 if atmospheric else 0, walks_of(setup, length_m, known.memory)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
-    since_s = since_seen(known.codes_s, d.pairs, np.isfinite(d.table[:, CODE]), time_s)
+    since_s = since_seen(known.codes_s, d.pairs, coded, time_s)
     arranged = lay_out(before, d, since_s, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
     f, layout = arranged.filter, arranged.layout
     _note_walk(known, arranged, model_ecef_m, setup.slip)
@@ -207,37 +210,42 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if not outcome.ok or not is_finite(f.x, f.P):
         return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
     remember(f, d, layout, outcome.phase_used, time_s)
-    modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
-    codes = codes_alone(d, outcome.code_used, known.scale, model_ecef_m)
-    float_scale = float_factor(f, d, layout, codes, known.scale, setup.ambiguity_walk_cyc, step_s, modelled_m)
     far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
     level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
-    resolution, sure = not_resolved(), False
-    if setup.resolving:
-        candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
+    candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
+    wanted = isfinite(known.least_odds)
+    if wanted and not far and not is_clear(f, candidates, known.memory, setup.resolve, level, known.least_odds):
+        return Solved(UNCLEAR, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
+    modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
+    codes = codes_alone(d, outcome.code_used, known.scale, model_ecef_m)
+    float_scale = float_factor(f, d, layout, codes, known.scale, setup.ambiguity_walk_cyc, step_s, modelled_m)
+    sure = False
+    if not setup.resolving:
+        resolution = not_resolved()
+    else:
         motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
         look = Look(far, atmospheric and not far, length_m, sharper, level)
         settled = _find_integers(f, informed, d, candidates, known, setup, look, motion)
         resolution, informed = settled.resolution, settled.informed
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
-        if isfinite(known.least_odds) and (not resolution.fixed or resolution.odds < known.least_odds):
+        if wanted and (not resolution.fixed or resolution.odds < known.least_odds):
             return Solved(UNCLEAR, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
         if sure:
             squares = (outcome.phase_chi2 + settled.norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     if resolution.fixed:
         known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
-    published = resolution.P
+    published, held = resolution.P, held_satellites(f, d, layout)
     if resolution.fixed and len(informed.keys) == 0:
         published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
-        if is_vague(published, level, held_satellites(f, d, layout)[0]):
+        if is_vague(published, level, held[0]):
             resolution = withheld(resolution, TOO_UNCERTAIN)
-    guarded = guard(f, d, layout, outcome, codes, resolution, known.scale, known.memory, setup.integrity, level, modelled_m)
+    guarded = guard(f, d, layout, outcome, codes, resolution, held, known.scale, known.memory, setup.integrity, level, modelled_m)
     if resolution.fixed and guarded.wrong > setup.failure_rate:
         resolution = withheld(resolution, TOO_RISKY)
-        guarded = guard(f, d, layout, outcome, codes, resolution, known.scale, known.memory, setup.integrity, level, modelled_m)
+        guarded = guard(f, d, layout, outcome, codes, resolution, held, known.scale, known.memory, setup.integrity, level, modelled_m)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     describe_guard(guarded, resolution.odds, figures)
@@ -310,23 +318,26 @@ def _note_walk(known: Known, arranged: Arranged, model_ecef_m: Vector, slip: Sli
             walk[WALK_COFACTOR + 3 * i + j] = arranged.motion_cov_m2[i, j] / unit_m2
 
 
-@kernel
+@kernel_in_place
 def predict_fix(known: Known, arranged: Arranged, model_ecef_m: Vector, base_moves: bool) -> None:
     """Carry the last fix on by the motion that the phases show; where these are too few or contradict the Dopplers, by that of these."""
     last, velocity, dt = known.prediction, known.velocity_mps, known.times_s[0] - known.times_s[2]
-    cov, by_phase, by_doppler, apart_m = arranged.motion_cov_m2, np.empty(3), np.empty(3), 0.0
+    cov, by_phase, by_doppler, apart_m = arranged.motion_cov_m2, scratch(3), scratch(3), 0.0
     for i in range(3):
         by_doppler[i] = 0.5 * dt * (velocity[i] + last[4 + i])
         by_phase[i] = model_ecef_m[i] - known.last_model_ecef_m[i] + arranged.motion_m[i]
         apart_m += (by_phase[i] - by_doppler[i]) ** 2
-    last[4:] = velocity[:3]
+    for i in range(3):
+        last[4 + i] = velocity[i]
     heard = isfinite(by_doppler[0]) and dt <= _DOPPLER_STEP_S
     contradicted = heard and sqrt(apart_m) > 4.0 * _DOPPLER_SIGMA_MPS * dt
     if arranged.redundancy >= 1 and not base_moves and not contradicted:
-        last[:3] += by_phase
+        for i in range(3):
+            last[i] += by_phase[i]
         last[3] += sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
     elif heard:
-        last[:3] += by_doppler
+        for i in range(3):
+            last[i] += by_doppler[i]
         last[3] += _DOPPLER_SIGMA_MPS * dt
     else:
         last[:4] = np.nan

@@ -51,7 +51,6 @@ from rtkmesh.rtk.state import (
     ARC_EPOCHS,
     ARC_S,
     DYNAMIC,
-    FIRST_PAIR_KEY,
     INTEGER,
     REJECTS,
     SLIPS,
@@ -186,13 +185,10 @@ def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved",
 
 def _float_state(solved: "Solved", base_ecef_m: Vector, around: Circumstances) -> FloatState:
     """Return what the filters know beside the integers; the atmosphere of the informed one where there is one."""
-    x = solved.filter.x.copy()
-    if len(solved.informed.keys):
-        keys, shared = solved.informed.keys, solved.informed.x[DYNAMIC:].copy()
-    else:
-        keys, shared = solved.filter.keys, x[DYNAMIC:]
-    count = int(keys.searchsorted(FIRST_PAIR_KEY)) if len(keys) and keys[0] < FIRST_PAIR_KEY else 0
-    return FloatState(base_ecef_m, x, keys[:count], shared[:count], around.sense, around.moves)
+    x, informed = solved.filter.x.copy(), solved.informed
+    if len(informed.keys):
+        return FloatState(base_ecef_m, x, informed.keys, informed.x[DYNAMIC:].copy(), around.sense, around.moves)
+    return FloatState(base_ecef_m, x, solved.filter.keys, x[DYNAMIC:], around.sense, around.moves)
 
 
 def motion_of(single: Located, x: Vector, P: Matrix, around: Circumstances) -> Moved:

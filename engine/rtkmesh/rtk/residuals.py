@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Signals
 from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, band_of, carrier_hz, system_of
@@ -210,47 +210,53 @@ def observe(
 
     Both receivers are modelled with the same issue of each ephemeris: those that ``located``, the rover's single-point solution, used.
     """
-    satellites, first, index = runs(pairs.satellite)
-    n, count = len(pairs.satellite), len(satellites)
-    rows, states, codes_m = np.empty((count, ROW)), np.empty((2, count, STATE)), np.empty(count)
-    take_satellites(located, satellites, rows, states[0])
+    n = len(pairs.satellite)
+    first, index = scratch_indices(n), scratch_indices(n)
+    count = runs(pairs.satellite, first, index)
+    rows, states, base_states, codes_m = scratch_table(count, ROW), scratch_table(count, STATE), scratch_table(count, STATE), scratch(count)
+    take_satellites(located, pairs.satellite, first, rows, states)
     for i in range(count):
         codes_m[i] = base.pseudorange_m[pairs.base[first[i]]]
-    satellite_states(rows, base.week, base.tow_s, codes_m, states[1])
-    wavelength_m, channels = np.empty(n), np.empty(n)
+    satellite_states(rows, base.week, base.tow_s, codes_m, base_states)
+    wavelength_m, channels = scratch(n), scratch(n)
     wavelengths(pairs.satellite, rover.signal, rover.channel, pairs.rover, channel, wavelength_m, channels)
-    geometry, out, words = np.empty((2, count, GEOMETRY)), np.empty((2, n, 2)), np.empty((2, n, WORDS))
+    geometry, out, words = scratch_table(count, GEOMETRY), scratch_table(n, 2), scratch_table(n, WORDS)
+    base_geometry, base_out, base_words = scratch_table(count, GEOMETRY), scratch_table(n, 2), scratch_table(n, WORDS)
     lock_s, flagged, half_cycle = np.empty((n, 2)), np.empty((n, 2), np.bool_), np.empty(n, np.bool_)
-    observe_receiver(rover, pairs.rover, index, wavelength_m, rover_ecef_m, klobuchar, states[0], geometry[0], out[0])
-    observe_receiver(base, pairs.base, index, wavelength_m, base_ecef_m, klobuchar, states[1], geometry[1], out[1])
+    observe_receiver(rover, pairs.rover, index, wavelength_m, rover_ecef_m, klobuchar, states, geometry, out)
+    observe_receiver(base, pairs.base, index, wavelength_m, base_ecef_m, klobuchar, base_states, base_geometry, base_out)
     if len(conditions.antennas) > 0:
-        correct_antenna(rover, pairs.rover, index, pattern_of(conditions.antennas, 0), geometry[0], out[0])
-        correct_antenna(base, pairs.base, index, pattern_of(conditions.antennas, 1), geometry[1], out[1])
-    receiver_words(rover, pairs.rover, 0, words[0], lock_s, flagged, half_cycle)
-    receiver_words(base, pairs.base, 1, words[1], lock_s, flagged, half_cycle)
+        correct_antenna(rover, pairs.rover, index, pattern_of(conditions.antennas, 0), geometry, out)
+        correct_antenna(base, pairs.base, index, pattern_of(conditions.antennas, 1), base_geometry, base_out)
+    receiver_words(rover, pairs.rover, 0, words, lock_s, flagged, half_cycle)
+    receiver_words(base, pairs.base, 1, base_words, lock_s, flagged, half_cycle)
     table = np.empty((n, DIFFERENCE))
     single_differences(
-        index, pairs.likeness, wavelength_m, channels, out[0], out[1], words[0], words[1], geometry[0], conditions.mask_rad,
-        conditions.noise, table,
+        index, pairs.likeness, wavelength_m, channels, out, base_out, words, base_words, geometry, conditions.mask_rad, conditions.noise,
+        table,
     )  # fmt: skip
-    direction, issue, azimuth_rad, base_s = np.empty((2, n, 3)), np.empty(n), np.empty(n), np.empty(n)
+    direction, columns = np.empty((2, n, 3)), np.empty((3, n))
+    issue, azimuth_rad, base_s = columns[0], columns[1], columns[2]
     for k in range(n):
         s = index[k]
         for i in range(3):
-            direction[0, k, i], direction[1, k, i] = geometry[0, s, E_X + i], geometry[1, s, E_X + i]
+            direction[0, k, i], direction[1, k, i] = geometry[s, E_X + i], base_geometry[s, E_X + i]
         issue[k] = rows[s, TOE_WEEK] * 1.0e6 + rows[s, TOE_TOW] + rows[s, IODE] * 1e-3
-        azimuth_rad[k], base_s[k] = geometry[0, s, AZIMUTH], conditions.base_s
+        azimuth_rad[k], base_s[k] = geometry[s, AZIMUTH], conditions.base_s
     return Differences(pairs, table, direction[0], direction[1], azimuth_rad, issue, flagged, half_cycle, lock_s, base_s)
 
 
 @kernel_in_place
-def take_satellites(located: Located, satellites: NDArray[np.int16], rows: Matrix, states: Matrix) -> None:
-    """Write ephemeris rows and states of these satellites (sorted); NaN and not OK where the single point had no code of one."""
+def take_satellites(located: Located, satellite: NDArray[np.int16], first: Indices, rows: Matrix, states: Matrix) -> None:
+    """Write ephemeris rows and states of the satellites (sorted) that ``first`` says the places of; NaN and not OK where the single point
+    had no code of one.
+    """
     j = 0
-    for i in range(len(satellites)):
-        while j < len(located.satellites) and located.satellites[j] < satellites[i]:
+    for i in range(len(rows)):
+        number = satellite[first[i]]
+        while j < len(located.satellites) and located.satellites[j] < number:
             j += 1
-        if j < len(located.satellites) and located.satellites[j] == satellites[i]:
+        if j < len(located.satellites) and located.satellites[j] == number:
             for k in range(ROW):
                 rows[i, k] = located.rows[j, k]
             for k in range(STATE):

@@ -66,11 +66,13 @@ class Codes(NamedTuple):
 @kernel
 def codes_alone(d: Differences, used: NDArray[np.bool_], scale: Matrix, rover_ecef_m: Vector) -> Codes:
     """Return what the codes of an epoch say by themselves; the differences were modelled for a rover at ``rover_ecef_m``."""
-    geodetic, trial, turn = scratch(3), scratch_table(2, scale.shape[1]), np.empty((3, 3))
+    systems = scale.shape[1]
+    geodetic, trial, factors, turn = scratch(3), scratch_table(2, systems), scratch(systems), np.empty((3, 3))
     trial[:, :] = 0.0
+    code_factors(scale, trial, factors)
     write_geodetic(rover_ecef_m, geodetic)
     write_enu(geodetic[0], geodetic[1], turn)
-    ranges = code_ranges(d, used, code_factors(scale, trial), turn)
+    ranges = code_ranges(d, used, factors, turn)
     return Codes(turn, ranges, solve_epoch(ranges))
 
 

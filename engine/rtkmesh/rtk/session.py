@@ -124,6 +124,8 @@ class Session:
     _comparison: Comparison | None = None
     same_antenna: bool = False
     _jump: Jump | None = None
+    _placed: tuple[float, float, float] | None = None  # the base position of the newest epoch, and as the engine takes it
+    _place_ecef_m: "np.ndarray[tuple[int], np.dtype[np.float64]] | None" = None
 
     def __post_init__(self) -> None:
         self.pairing = Pairing(self.options.pairing)
@@ -324,4 +326,8 @@ class Session:
         position = self.options.base_position_ecef_m
         if position is None and self.station is not None:
             position = self.station.position_ecef_m
-        return None if position is None else np.array(position)
+        if position is None:
+            return None
+        if position != self._placed:
+            self._placed, self._place_ecef_m = position, np.array(position)
+        return self._place_ecef_m

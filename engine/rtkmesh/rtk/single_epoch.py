@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.rtk.ambiguity import Candidates, held_differences, pairs_of, take
+from rtkmesh.rtk.ambiguity import Candidates, held_among, held_differences, pairs_of
 from rtkmesh.rtk.filter import factor
-from rtkmesh.rtk.memory import is_held
 from rtkmesh.rtk.noise import PHASE, phase_factor
 from rtkmesh.rtk.published import FIX_DOF, FIX_SQUARES
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, Filter
@@ -39,7 +38,7 @@ def sharpness(scale: Matrix) -> float:
 @kernel
 def held_norm(f: Filter, candidates: Candidates) -> float:
     """Return the squared norm of what is held against float ambiguities whose phases are as the filter has them."""
-    pairs = pairs_of(take(candidates, is_held(f, candidates)))
+    pairs = pairs_of(held_among(f, candidates))
     return norm_of(f, pairs, held_differences(f, pairs))
 
 

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch_table
 from rtkmesh.rtk.ambiguity import condition, held_differences
-from rtkmesh.rtk.filter import reset_state
+from rtkmesh.rtk.filter import reset_state, take_out
 from rtkmesh.rtk.memory import SLOPE_G1, SLOPE_SIGMA_G1
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, SLOPE_KEYS, Filter, place_of
 
@@ -75,14 +75,9 @@ def without_slopes(f: Filter) -> Filter:
     states = slope_states(f)
     if len(states) == 0:
         return f
-    n, x, P = len(f.x), f.x.copy(), f.P.copy()
+    x, P, room = f.x.copy(), f.P.copy(), scratch_table(2, len(f.x))
     for i in states:
-        value, column, row = x[i], P[:, i].copy(), P[i].copy()
-        for a in range(n):
-            gain = column[a] / row[i]
-            x[a] -= gain * value
-            for b in range(n):
-                P[a, b] -= gain * row[b]
+        take_out(x, P, i, room)
     for i in states:
         reset_state(x, P, i, 0.0, SLOPE_CHANGE_M**2)
     return Filter(x, P, f.keys, f.history)

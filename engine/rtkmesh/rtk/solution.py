@@ -75,9 +75,9 @@ USED_CODE, USED_PHASE, FIXED, SLIPPED, REJECTED, HALF_CYCLE = 1, 2, 4, 8, 16, 32
 TABLE: Final = 14
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class SatelliteTable:
-    """Per satellite and signal: what the filter made of it. Unknown is NaN; ``packed`` has a row per signal, the columns T_*.
+    """Per satellite and signal: what the filter made of it, a value. Unknown is NaN; ``packed`` has a row per signal, the columns T_*.
 
     Azimuth and elevation are in radians, C/N0 in dB-Hz, residuals in metres, the single-difference ambiguity in cycles, the age of its arc
     in seconds; ``state`` is of the bits above.
@@ -173,7 +173,7 @@ class FloatState:
 
     Taken from the states of the filter when it is asked: ``x`` begins with its baseline, velocity and acceleration on the filter's clock,
     which ``sense`` (1 or -1) turns to GPS time; ``moves``: it knows of motion. ``keys`` and ``shared`` are keys and values of the states
-    that are no ambiguities, of the filter that knows the atmosphere.
+    beside those, of the filter that knows the atmosphere.
     """
 
     base_ecef_m: Vector = field(default_factory=_nan3)

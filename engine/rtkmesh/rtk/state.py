@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch_flags
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, MAX_SATELLITE
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.code_arcs import new_codes
@@ -56,31 +56,36 @@ class Filter(NamedTuple):
     history: Matrix
 
 
+_NO_KEYS: Final = np.zeros(0, np.int64)  # of all filters that begin: nothing can be written to them
+_NO_HISTORY: Final = np.zeros((0, HISTORY))
+
+
 def new_filter() -> Filter:
     """Return a filter without keyed states that knows nothing."""
-    return Filter(np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), np.zeros(0, np.int64), np.zeros((0, HISTORY)))
+    return Filter(np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), _NO_KEYS, _NO_HISTORY)
 
 
 def filter_at(baseline_ecef_m: Vector, sigmas: Vector) -> Filter:
     """Return a filter without keyed states that stands there, with these sigmas of position, velocity and acceleration."""
-    f = new_filter()
-    f.x[:3] = baseline_ecef_m
-    f.P.ravel()[:: DYNAMIC + 1] = (sigmas * sigmas).repeat(3)
-    return f
+    x, P = np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
+    x[:3] = baseline_ecef_m
+    P.reshape(-1)[:: DYNAMIC + 1] = (sigmas * sigmas).repeat(3)
+    return Filter(x, P, _NO_KEYS, _NO_HISTORY)
 
 
 @kernel
 def use_keys(f: Filter, current: Indices, time_s: float, maximum_gap_s: float) -> Filter:
     """Return the filter with room for the current keys (sorted), without those that were not seen for too long."""
-    keep = np.empty(len(f.keys), np.bool_)
+    keep, kept, known = scratch_flags(len(f.keys)), 0, 0
     for k in range(len(keep)):
         keep[k] = time_s - f.history[k, SEEN_S] <= maximum_gap_s
-    keys, source = merge_keys(f.keys, keep, current)
-    same = len(keys) == len(f.keys)
-    for k in range(len(keys)):
-        same = same and source[k] == k
-    if same:
+        if known < len(current) and current[known] == f.keys[k]:
+            keep[k] = True
+            known += 1
+        kept += 1 if keep[k] else 0
+    if kept == len(keep) and known == len(current):
         return f
+    keys, source = merge_keys(f.keys, keep, current)
     x, P = rearrange(f.x, f.P, source, DYNAMIC)
     history = np.full((len(keys), HISTORY), np.nan)
     for k in range(len(keys)):

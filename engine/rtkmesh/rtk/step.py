@@ -11,7 +11,7 @@ from rtkmesh.gnss.epoch import Signals
 from rtkmesh.models.single import Located, Plain
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed
-from rtkmesh.rtk.crossing import named
+from rtkmesh.rtk.crossing import named, unnamed
 from rtkmesh.rtk.relative import SOLVED, UNCLEAR, Known, Setup, Solved, solve_pair, walks_of
 from rtkmesh.rtk.report import FIGURES
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, SEED_MOVING, Filter
@@ -45,22 +45,24 @@ class Step(NamedTuple):
 def take_step(
     filters: tuple[Plain, Plain], signals: tuple[Plain, Plain], place: Plain, channel: NDArray[np.int8], klobuchar: Vector, way: Plain,
     past: Plain, options: Plain,
-) -> Solved:  # fmt: skip
+) -> Plain:  # fmt: skip
     """Return the relative solution of an epoch, as ``solve_pair`` does, with the filters (written to) that the last one left; ASTRAY
     where these cannot go on.
 
-    Fields come without names: of both filters, of the signals of rover and base, of Located, Step, Known, and Setup as ``plain`` has it.
+    Fields come without names: of both filters, of the signals of rover and base, of Located, Step (and Motion in it), Known, and Setup as
+    ``plain`` has it; and they go so, as ``unnamed`` has them.
     """
     f, informed, rover, base = Filter(*filters[0]), Filter(*filters[1]), Signals(*signals[0]), Signals(*signals[1])
-    located, step, known, setup = Located(*place), Step(*way), Known(*past), named(options)
+    located, known, setup = Located(*place), Known(*past), named(options)
+    step = Step(way[0], way[1], way[2], way[3], way[4], way[5], way[6], Motion(*way[7]))
     informed, moved = move_on(f, informed, located, step, known, setup)
     if not moved:
-        return Solved(ASTRAY, f, informed, f.x, f.P, np.zeros(FIGURES), np.zeros((0, 0)), f.P)
+        return unnamed(Solved(ASTRAY, f, informed, f.x, f.P, np.zeros(FIGURES), np.zeros((0, 0)), f.P))
     model_ecef_m = known.base_ecef_m + f.x[:3]
     solved = solve_pair(f, informed, rover, base, located, channel, klobuchar, known, setup)
     if solved.status == SOLVED:
         known.last_model_ecef_m[:] = model_ecef_m
-    return solved
+    return unnamed(solved)
 
 
 @kernel

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_index_table, scratch_indices, scratch_table
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.filter import (
     AT_AMBIGUITY,
@@ -25,7 +25,7 @@ from rtkmesh.rtk.filter import (
     Y,
     factor,
     normal_equations,
-    posterior_of,
+    posterior_in,
     residuals,
 )  # fmt: skip
 from rtkmesh.rtk.noise import DOF, SQUARES, code_factors, learn_codes, phase_factor
@@ -35,6 +35,7 @@ from rtkmesh.rtk.velocity import add_velocity
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Cube = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 CODE_LIMIT: Final = 4.0  # normalised residuals beyond these are left out
@@ -71,7 +72,7 @@ class Layout(NamedTuple):
 
 class Work(NamedTuple):
     """The arrays of one update: observations and their places, the factor U of the prior covariance (it serves every adjustment) and room
-    for what one makes of it, normal equations, posterior, residuals.
+    for what one makes of it, normal equations, posterior and room for what it is made of, residuals.
     """
 
     observations: Matrix
@@ -79,9 +80,10 @@ class Work(NamedTuple):
     U: Matrix
     V: Matrix
     N: Matrix
+    P_new: Matrix
+    room: Cube
     b: Vector
     mean: Matrix
-    P_new: Matrix
     dx: Vector
     value: Vector
     variance: Vector
@@ -91,14 +93,15 @@ class Work(NamedTuple):
 def update(f: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mps: Vector, velocity_cov_m2ps2: Matrix) -> Update:
     """Update the filter, in place, by the differences and a velocity (NaN: none); learn the code's noise (``scale``)."""
     n, states, systems = len(d.pairs.satellite), len(f.x), scale.shape[1]
+    large = np.empty((7, states, states))
     work = Work(
-        np.empty((2 * n, OBSERVATION)), np.empty((2 * n, PLACES), np.int64), np.empty((states, states)), np.empty((states, states)),
-        np.empty((states, states)), np.empty(states), np.empty((2 * d.pairs.groups, states + 2)), np.empty((states, states)),
-        np.empty(states), np.empty(2 * n), np.empty(2 * n),
+        scratch_table(2 * n, OBSERVATION), scratch_index_table(2 * n, PLACES), large[0], large[1], large[2], large[3], large[4:],
+        scratch(states), scratch_table(2 * d.pairs.groups, states + 2), scratch(states), np.empty(2 * n), scratch(2 * n),
     )  # fmt: skip
-    trial = np.zeros((2, systems))
+    trial, factors, found = scratch_table(2, systems), scratch(systems), scratch(systems)
+    trial[:, :] = 0.0
     phase_scale = phase_factor(scale)
-    factors = code_factors(scale, trial)
+    code_factors(scale, trial, factors)
     ok = factor(f.P, work.U) == OK
     for _ in range(_SOLUTIONS):
         fill_observations(f, d, layout, factors, phase_scale, work)
@@ -106,10 +109,10 @@ def update(f: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mp
         if not ok:
             break
         code_statistics(d, work, trial)
-        found = code_factors(scale, trial)
+        code_factors(scale, trial, found)
         if not _differ(found, factors):
             break
-        factors = found
+        factors[:] = found
     for _ in range(_ROUNDS):
         if not ok or screen(work, n) == 0:
             break
@@ -123,13 +126,15 @@ def update(f: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mp
     return _outcome(ok, work, layout.phase_inflation)
 
 
-@kernel
+@kernel_in_place
 def adjust(f: Filter, work: Work, velocity_mps: Vector, velocity_cov_m2ps2: Matrix) -> bool:
     """Adjust with the weights as they are; False if the covariance is not positive definite any more."""
     normal_equations(work.observations, work.places, DYNAMIC, work.mean.shape[0], work.N, work.b, work.mean)
     add_velocity(f.x, f.P, velocity_mps, velocity_cov_m2ps2, work.N, work.b)
-    work.V[:, :] = work.U
-    if posterior_of(work.V, work.N, work.b, work.P_new, work.dx) != OK:
+    for i in range(len(work.V)):
+        for j in range(len(work.V)):
+            work.V[i, j] = work.U[i, j]
+    if posterior_in(work.room, scratch(len(work.b)), work.V, work.N, work.b, work.P_new, work.dx) != OK:
         return False
     residuals(work.observations, work.places, DYNAMIC, work.mean, work.P_new, work.dx, False, work.value, work.variance)
     return True
@@ -147,7 +152,8 @@ def _differ(found: Vector, factors: Vector) -> bool:
 def _outcome(ok: bool, work: Work, phase_inflation: Vector) -> Update:
     """Return residuals and what was used; squares of phases are normalised by variances that are not inflated."""
     n = len(phase_inflation)
-    code_used, phase_used, chi2, dof = np.empty(n, np.bool_), np.empty(n, np.bool_), 0.0, 0.0
+    used, chi2, dof = np.empty((2, n), np.bool_), 0.0, 0.0
+    code_used, phase_used = used[0], used[1]
     for k in range(n):
         w = work.observations[n + k, W]
         code_used[k], phase_used[k] = work.observations[k, W] > 0.0, w > 0.0
@@ -203,13 +209,14 @@ def code_statistics(d: Differences, work: Work, out: Matrix) -> None:
         out[DOF, system] += redundancy
 
 
-@kernel
+@kernel_in_place
 def screen(work: Work, count: int) -> int:
     """Put aside (negative weight) the worst observation of each group that is beyond its limit, if it is not far better than the worst
     of all; return how many. The first ``count`` rows are codes.
     """
     observations, groups = work.observations, work.mean.shape[0]
-    ratio, best, worst = np.zeros(observations.shape[0]), np.full(groups, -1, np.int64), 0.0
+    ratio, best, worst = scratch(observations.shape[0]), scratch_indices(groups), 0.0
+    ratio[:], best[:] = 0.0, -1
     for k in range(observations.shape[0]):
         w = observations[k, W]
         if not (w > 0.0 and work.variance[k] > 0.01 / w):

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratch_indices, scratch_table
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
 from rtkmesh.rtk.acceptance import FAR_M, log_space, search_all, try_new
@@ -21,10 +21,12 @@ from rtkmesh.rtk.ambiguity import (
     Search,
     compare_integers,
     condition,
+    held_among,
     held_differences,
     pairs_of,
     take,
     tell,
+    write_held_differences,
 )
 from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
 from rtkmesh.rtk.calm import calmed
@@ -49,7 +51,6 @@ from rtkmesh.rtk.memory import (
     STREAK_S,
     TRUSTS_GLONASS,
     ResolveSetup,
-    is_held,
     release,
 )
 from rtkmesh.rtk.predicted import WEAK_M, carry, departure, with_prediction
@@ -125,12 +126,8 @@ def decide(
     """Find, keep or release integers in this epoch; return the free search. ``prediction`` is where the last fix and time differences of
     the phase put the baseline (m, ECEF) and its sigma, NaN without; ``level`` the variance factor of the codes (``asked_odds``).
     """
-    candidates = everything if memory[TRUSTS_GLONASS] > 0.0 else take(everything, everything.satellite // SATELLITES_PER_SYSTEM != GLONASS)
-    held = pairs_of(take(everything, is_held(f, everything)))
-    free = _free_search(f, candidates, len(held), memory, setup)
-    told = free
-    if level <= FAIR_CODES and len(candidates.row) < len(everything.row):
-        told = _surer(f, everything, free, len(held), setup)
+    candidates, held = _trusted(everything, memory), pairs_of(held_among(f, everything))
+    free, told = _searched(f, everything, candidates, len(held), memory, setup, level)
     asked, asked_of_told = asked_odds(level, False, f.x), asked_odds(level, told.odds > free.odds, f.x)
     free = told
     if len(held) >= 3:
@@ -138,7 +135,7 @@ def decide(
         _watch(f, held, free, memory, setup, prediction)
         if memory[CONFIRMED] > confirmed and len(free.pairs) > len(held) and _extends(f, free, setup.confidence * asked_of_told):
             extend(f, free)
-        held = pairs_of(take(everything, is_held(f, everything)))
+        held = pairs_of(held_among(f, everything))
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
     aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
@@ -147,6 +144,32 @@ def decide(
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
         learn_glonass(f, everything, held, memory, setup)
     return free
+
+
+@kernel
+def is_clear(f: Filter, everything: Candidates, memory: Vector, setup: ResolveSetup, level: float, odds: float) -> bool:
+    """Return whether the search of an epoch in which nothing is held has such log odds: those that ``decide`` goes by and returns."""
+    return _searched(f, everything, _trusted(everything, memory), 0, memory, setup, level)[1].odds >= odds
+
+
+@kernel
+def _trusted(everything: Candidates, memory: Vector) -> Candidates:
+    """Return the candidates without GLONASS's, unless these are trusted."""
+    allowed = scratch_flags(len(everything.satellite))
+    for k in range(len(allowed)):
+        allowed[k] = memory[TRUSTS_GLONASS] > 0.0 or everything.satellite[k] // SATELLITES_PER_SYSTEM != GLONASS
+    return take(everything, allowed)
+
+
+@kernel
+def _searched(
+    f: Filter, everything: Candidates, candidates: Candidates, held: int, memory: Vector, setup: ResolveSetup, level: float
+) -> tuple[Search, Search]:
+    """Return the free search, and what GLONASS makes of it where codes are good enough for a witness."""
+    free = _free_search(f, candidates, held, memory, setup)
+    if level <= FAIR_CODES and len(candidates.row) < len(everything.row):
+        return free, _surer(f, everything, free, held, setup)
+    return free, free
 
 
 @kernel
@@ -179,11 +202,12 @@ def _surer(f: Filter, everything: Candidates, free: Search, held: int, setup: Re
 @kernel
 def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector) -> None:
     """Let the float solution speak against what is held; release it when the doubt lasts."""
-    integers, n = held_differences(f, held), len(held)
+    n, integers = len(held), scratch(len(held))
+    write_held_differences(f, held, integers)
     norm = norm_of(f, held, integers)
     doubt = norm > NORM_LIMIT * n * 2.0
     if free.resolved:
-        other, same = np.empty(n), True
+        other, same = scratch(n), True
         for k in range(n):
             other[k] = free.values[held[k, 0] - DYNAMIC] - free.values[held[k, 1] - DYNAMIC]
             same = same and other[k] == integers[k]
@@ -203,10 +227,10 @@ def _extends(f: Filter, free: Search, asked: float) -> bool:
     return not _is_far(f) and free.odds >= asked + log_space(f) and free.norm <= EXTEND_FIT * len(free.pairs)
 
 
-@kernel
+@kernel_in_place
 def norm_of(f: Filter, pairs: Indices, integers: Vector) -> float:
     """Return the squared norm of integers against the float ambiguities."""
-    return condition(f.x, f.P, pairs, integers, 0.0, np.empty(0, np.int64), np.empty(0), np.empty((0, 0)))
+    return condition(f.x, f.P, pairs, integers, 0.0, scratch_indices(0), scratch(0), scratch_table(0, 0))
 
 
 @kernel_in_place
@@ -228,14 +252,16 @@ def fix(
     """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``), ``calm``: the
     place is that of an atmosphere which is the same at both ends.
     """
-    pairs, x, P = pairs_of(take(candidates, is_held(f, candidates))), np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
+    pairs, x, P = pairs_of(held_among(f, candidates)), np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
     count, grade, sigma_m, norm = len(pairs), 0, np.nan, 0.0
     if count < _least_count(setup):
         reason = FEW_AMBIGUITIES if len(free.pairs) < setup.minimum_ambiguities else NOT_SURE
     else:
-        integers = held_differences(f, pairs)
+        integers, dynamic = held_differences(f, pairs), scratch_indices(DYNAMIC)
+        for i in range(DYNAMIC):
+            dynamic[i] = i
         placing = calmed(f) if calm else f
-        norm = condition(placing.x, placing.P, pairs, integers, 0.0, np.arange(DYNAMIC), x, P)
+        norm = condition(placing.x, placing.P, pairs, integers, 0.0, dynamic, x, P)
         if calm:
             norm = norm_of(f, pairs, integers)
         sigma_m = _sigma_m(P)

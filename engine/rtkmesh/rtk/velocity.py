@@ -5,7 +5,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel_in_place, scratch, scratch_table
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -14,14 +14,14 @@ _LIMIT = 16.3  # chi-square of 3 degrees of freedom at 0.1 %
 _FLOOR_MPS = 0.03  # Doppler velocity is the mean over the receiver's loop time, not of the instant
 
 
-@kernel
+@kernel_in_place
 def add_velocity(x: Vector, P: Matrix, velocity_mps: Vector, covariance: Matrix, N: Matrix, b: Vector) -> float:
     """Add a velocity (m/s, ECEF, relative to the base) to normal equations for corrections of x; return its chi-square against the
     prediction.
 
     A velocity that contradicts the prediction gets its covariance scaled until it does not.
     """
-    A, S, d = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    A, S, inverse, d = scratch_table(3, 3), scratch_table(3, 3), scratch_table(3, 3), scratch(3)
     for i in range(3):
         d[i] = velocity_mps[i] - x[3 + i]
         for j in range(3):
@@ -29,26 +29,18 @@ def add_velocity(x: Vector, P: Matrix, velocity_mps: Vector, covariance: Matrix,
             S[i, j] = A[i, j] + P[3 + i, 3 + j]
     if not isfinite(d[0] + d[1] + d[2] + A[0, 0] + A[1, 1] + A[2, 2]):
         return np.nan
-    inverse = invert3(S)
+    invert3_into(S, inverse)
     chi2 = 0.0
     for i in range(3):
         for j in range(3):
             chi2 += d[i] * inverse[i, j] * d[j]
     scale = max(1.0, chi2 / _LIMIT)
-    inverse = invert3(A)
+    invert3_into(A, inverse)
     for i in range(3):
         for j in range(3):
             N[3 + i, 3 + j] += inverse[i, j] / scale
             b[3 + i] += inverse[i, j] / scale * d[j]
     return chi2
-
-
-@kernel
-def invert3(A: Matrix) -> Matrix:
-    """Return the inverse of a symmetric 3 x 3 matrix by cofactors."""
-    out = np.empty((3, 3))
-    invert3_into(A, out)
-    return out
 
 
 @kernel_in_place

@@ -30,9 +30,8 @@ def verdict(
     """
     if isnan(levels_m[0]):
         return Integrity.UNAVAILABLE, IntegrityReason.NOT_WATCHED
-    for reason, value in zip(_TESTS, tests, strict=True):
-        if value > 1.0:
-            return Integrity.FAILED, reason
+    if tests[0] > 1.0 or tests[1] > 1.0 or tests[2] > 1.0:
+        return Integrity.FAILED, next(reason for reason, value in zip(_TESTS, tests, strict=True) if value > 1.0)
     if status is _FIX and length_fails(x, P, options):
         return Integrity.FAILED, IntegrityReason.LENGTH
     if not (isfinite(levels_m[0]) and isfinite(levels_m[1])):
