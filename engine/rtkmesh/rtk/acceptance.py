@@ -10,13 +10,14 @@ from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.models.odds import NORM_LIMIT
 from rtkmesh.rtk.ambiguity import Candidates, Search, compare_integers, search, take
+from rtkmesh.rtk.asked_odds import WEAK_COUNT, odds_of_lasting
 from rtkmesh.rtk.common_integers import search_common
 from rtkmesh.rtk.memory import (
-    ACCEPT_AFTER_STREAK,
     ACCEPT_AT_ONCE,
     CONFIRMED,
     DOUBTS,
     HELD_SINCE_S,
+    LAST_ODDS,
     SHOWN,
     STREAK_EPOCHS,
     STREAK_EPOCHS_LEAST,
@@ -34,7 +35,6 @@ from rtkmesh.rtk.witness import LEAST, others_of
 Vector = NDArray[np.float64]
 
 WEAK_STREAK_S: Final = 30.0  # with few ambiguities: code multipath must have changed in between
-WEAK_COUNT: Final = 8
 # Beyond FAR_M the atmosphere may make a few wrong integers fit, and goes on to: fewer than FAR_COUNT, however clear, must last, for
 # WEAK_STREAK_S times the square of the distance in FAR_M, FAR_STREAK_S at most. Believed at once where one search is clear, simulated runs
 # of two seeds had 82 wrong fixes for 26, up to 33 s long for 11, and right ones 99 and 93 for 98 and 90 % at 10 km, 79 and 76 for 66 and
@@ -53,6 +53,7 @@ WEAKEST: Final = 5  # so many of the weakest satellites are left out in turn
 # of the others, 0.9 of four and 3.5 of five; right ones had 3.6 and more of six to eight, 4.6 and more of five.
 OPEN_SLOPE_LEAST: Final = 3.0
 OPEN_SLOPE_FEW: Final = 4.0  # where the integers of the others are fewer than ``witness.LEAST``
+ALL_LEAST: Final = 3.0  # log odds of the search of all from which it bears out a subset that is believed because it lasts
 WIDE_M: Final = 5.0  # sigma in 3D of a float solution from which on odds must be better: epochs under open sky are three times as good
 SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chance
 
@@ -99,12 +100,15 @@ def try_new(
     if few:
         lasting_s = max(lasting_s, min(far2 * WEAK_STREAK_S, FAR_STREAK_S))
     persistent = memory[STREAK_EPOCHS] >= STREAK_EPOCHS_LEAST and time_s - memory[STREAK_START_S] >= lasting_s
-    likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty + space
+    persistent = persistent and (penalty == 0.0 or wide or is_borne_out(f, best, free, memory[LAST_ODDS], setup))
+    likely = persistent and best.odds >= setup.confidence * odds_of_lasting(f, len(best.pairs)) + penalty + space
     strong = not few and _strong(best, penalty + space, setup, needed)
     if not (likely or strong) or best.norm > NORM_LIMIT * len(best.pairs):
         return
     if reflected and far2 <= 1.0 and are_bare(f, best.pairs):
         return  # elsewhere GLONASS, or another system, may be found by them
+    if len(everything.row) > len(candidates.row) and is_contradicted(aided, everything, best, setup):
+        return
     if wide:  # the slope that GLONASS fits with is known now
         f.x[:], f.P[:, :] = level.x, level.P
         memory[TRUSTS_GLONASS] = 1.0
@@ -190,6 +194,23 @@ def bears_out(f: Filter, sloped: Search, straight: Search) -> bool:
     least = OPEN_SLOPE_LEAST if len(own) >= LEAST else OPEN_SLOPE_FEW
     clear = sloped.resolved and straight.resolved and sloped.odds >= least
     return clear and bool((sloped.integers[own] == straight.integers[own]).all())
+
+
+@kernel
+def is_borne_out(f: Filter, subset: Search, everything: Search, odds: float, setup: ResolveSetup) -> bool:
+    """Return whether the search of all gives the integers of a subset, with log odds of its own (``odds``: without GLONASS as a witness).
+
+    What is left out of a subset makes its odds; if it was right to leave it out, the search of all becomes surer with time as well.
+    """
+    clear = everything.resolved and odds >= setup.confidence * ALL_LEAST
+    return clear and compare_integers(f.keys, subset.values, f.keys, everything.values)[1] == 0
+
+
+@kernel
+def is_contradicted(f: Filter, everything: Candidates, found: Search, setup: ResolveSetup) -> bool:
+    """Return whether the search of all, with an open slope of GLONASS phases, gives other integers than were found."""
+    told = search_all(f, everything, setup)
+    return told.resolved and compare_integers(f.keys, found.values, f.keys, told.values)[1] > 0
 
 
 @kernel_in_place
