@@ -28,6 +28,8 @@ ASKED_OF_WITNESSED: Final = 6.0
 STREET_CODES: Final = 4.0
 ASKED_OF_STREETS: Final = 9.0
 WEAK_COUNT: Final = 8  # fewer integers are few
+# Nearer, what the atmosphere leaves is below the phases' multipath.
+ATMOSPHERE_FROM_M: Final = 4e3
 DOUBLED_M: Final = 10e3  # one epoch cannot tell its atmosphere: there log odds are worth half (``integrity.sureness``)
 
 
@@ -66,12 +68,13 @@ def asked_odds(level: float, witnessed: bool, baseline_m: Vector) -> float:
 
 @kernel_in_place
 def odds_of_lasting(f: Filter, count: int) -> float:
-    """Return the log odds from which so many integers are believed that searches have given for long enough.
+    """Return the log odds from which so many integers are believed that searches have given for long enough and nothing else bears out.
 
-    Where the atmosphere is no state it is taken for noise that is new in every epoch, but it lasts as long as a few wrong integers that it
-    makes fit.
+    Where the atmosphere is felt and no state it is taken for noise that is new in every epoch, but it lasts as long as a few wrong integers
+    that it makes fit.
     """
-    knows = count >= WEAK_COUNT or place_of(f.keys, ZENITH_KEY) >= 0
+    near = f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2 <= ATMOSPHERE_FROM_M**2
+    knows = near or count >= WEAK_COUNT or place_of(f.keys, ZENITH_KEY) >= 0
     return ACCEPT_AFTER_STREAK if knows else _at_length(ACCEPT_AFTER_STREAK, f.x)
 
 
