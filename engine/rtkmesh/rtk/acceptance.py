@@ -56,7 +56,7 @@ OPEN_SLOPE_LEAST: Final = 3.0
 OPEN_SLOPE_FEW: Final = 4.0  # where the integers of the others are fewer than ``witness.LEAST``
 SILENT, AGREES, OBJECTS = range(3)  # what GLONASS says of integers that were found without it
 # Log odds of other integers by the search with GLONASS that forbid those which are found without it.
-AGAINST_LEAST: Final = 1.0
+AGAINST_LEAST: Final = 2.5
 # Log odds by which the search of all must bear out a subset of few. Of 35 such beyond 4 km those that were right had 3.3 and more, but one
 # (2.7); two that were wrong 1.8 and 0.5, five that came to no fix up to 1.8.
 ALL_LEAST: Final = 3.0
