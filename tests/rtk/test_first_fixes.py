@@ -30,6 +30,7 @@ from rtkmesh.rtk.asked_odds import (
     WEAK_COUNT,
     asked_odds,
     code_level,
+    is_felt,
     is_street,
     odds_of_lasting,
 )
@@ -215,6 +216,7 @@ def test_what_must_last_is_surer_over_a_distance_whose_atmosphere_is_no_state():
         (9e3, ACCEPT_AT_ONCE / ACCEPT_AFTER_STREAK),
     ):
         f = filter_at(np.array([0.0, length_m, 0.0]), np.ones(3))
+        assert is_felt(f) is (length_m > ATMOSPHERE_FROM_M)
         assert odds_of_lasting(f, few) == pytest.approx(asked * ACCEPT_AFTER_STREAK, rel=1e-3)
         assert odds_of_lasting(f, WEAK_COUNT) == ACCEPT_AFTER_STREAK
         calm = Filter(np.append(f.x, 0.0), np.eye(DYNAMIC + 1), np.array([ZENITH_KEY]), np.zeros((1, HISTORY)))

@@ -67,14 +67,19 @@ def asked_odds(level: float, witnessed: bool, baseline_m: Vector) -> float:
 
 
 @kernel_in_place
+def is_felt(f: Filter) -> bool:
+    """Return whether the baseline is so long that integers feel its atmosphere."""
+    return bool(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2 > ATMOSPHERE_FROM_M**2)
+
+
+@kernel_in_place
 def odds_of_lasting(f: Filter, count: int) -> float:
     """Return the log odds from which so many integers are believed that searches have given for long enough and nothing else bears out.
 
     Where the atmosphere is felt and no state it is taken for noise that is new in every epoch, but it lasts as long as a few wrong integers
     that it makes fit.
     """
-    near = f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2 <= ATMOSPHERE_FROM_M**2
-    knows = near or count >= WEAK_COUNT or place_of(f.keys, ZENITH_KEY) >= 0
+    knows = not is_felt(f) or count >= WEAK_COUNT or place_of(f.keys, ZENITH_KEY) >= 0
     return ACCEPT_AFTER_STREAK if knows else _at_length(ACCEPT_AFTER_STREAK, f.x)
 
 

@@ -329,6 +329,6 @@ def predict_fix(known: Known, arranged: Arranged, model_ecef_m: Vector, base_mov
         spread(last, sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2]), known.memory[SHARE])
     elif heard:
         last[:3] += by_doppler
-        spread(last, _DOPPLER_SIGMA_MPS * dt, 1.0)
+        spread(last, _DOPPLER_SIGMA_MPS * dt, known.memory[SHARE])
     else:
         last[:4] = np.nan
