@@ -11,7 +11,8 @@ from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, signal_code
 from rtkmesh.models.ephemeris_table import EphemerisTable
-from rtkmesh.rtk.calm import ATMOSPHERE_FROM_M, calmed, is_atmospheric
+from rtkmesh.rtk.asked_odds import ATMOSPHERE_FROM_M
+from rtkmesh.rtk.calm import calmed, is_atmospheric
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.solution import Solution, Status

@@ -7,23 +7,38 @@ from hypothesis import strategies as st
 from tests.rtk.float_filters import GPS, TRUE, floating
 
 from rtkmesh.models.odds import log_odds
-from rtkmesh.rtk.acceptance import OPEN_SLOPE_FEW, OPEN_SLOPE_LEAST, bears_out
-from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs
+from rtkmesh.rtk.acceptance import (
+    AGAINST_LEAST,
+    AGREES,
+    ALL_LEAST,
+    OBJECTS,
+    OPEN_SLOPE_FEW,
+    OPEN_SLOPE_LEAST,
+    SILENT,
+    bears_out,
+    glonass_says,
+    is_borne_out,
+)
+from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs, take
 from rtkmesh.rtk.asked_odds import (
     ASKED_OF_STREETS,
     ASKED_OF_SURVEY_CODES,
     ASKED_OF_WITNESSED,
+    ATMOSPHERE_FROM_M,
     FAIR_CODES,
     STREET_CODES,
+    WEAK_COUNT,
     asked_odds,
     code_level,
+    is_felt,
     is_street,
+    odds_of_lasting,
 )
-from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory, resolve_setup
+from rtkmesh.rtk.memory import ACCEPT_AFTER_STREAK, ACCEPT_AT_ONCE, new_memory, resolve_setup
 from rtkmesh.rtk.noise import learn_codes, new_code_scale
 from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.slopes import without_slopes
-from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, ZENITH_KEY, Filter, filter_at
 from rtkmesh.rtk.validation import decide, is_clear
 from rtkmesh.rtk.witness import LEAST, RIVALS, witnessed
 
@@ -131,3 +146,63 @@ def test_worse_codes_and_longer_baselines_never_ask_for_less(level, told, length
     assert asked <= ACCEPT_AT_ONCE or level > STREET_CODES
     assert asked_odds(level * worse, told, near) >= asked
     assert asked_odds(level, told, far) >= asked
+
+
+SETUP = resolve_setup(AmbiguityOptions(), None, 0.01)
+
+
+def but_one(found, k):
+    """The search as if it had found another integer of one double difference."""
+    values = found.values.copy()
+    values[found.pairs[k, 0] - DYNAMIC] += 1.0
+    return found._replace(values=values)
+
+
+def test_glonass_objects_to_integers_that_the_search_of_all_does_not_give():
+    """If that is clear; it agrees with its own where they are clearer; it says nothing where it cannot be searched."""
+    rng, counts = np.random.default_rng(4), np.zeros(3, np.int64)
+    for _ in range(60):
+        sloped, everything = floating(rng)
+        f = without_slopes(sloped)  # so that it is clear at times
+        told, gps = search(f, everything, np.nan, 0.01), take(everything, everything.group == 0)
+        alone, clear = search(f, gps, np.nan, 0.01), told.odds >= AGAINST_LEAST
+        same = bool((alone.integers == told.integers[: len(alone.pairs)]).all())
+        agreed = AGREES if told.odds >= ALL_LEAST else SILENT
+        assert glonass_says(f, everything, told, SETUP) == agreed
+        assert glonass_says(f, everything, but_one(told, 2), SETUP) == (OBJECTS if clear else SILENT)
+        assert glonass_says(f, everything, alone, SETUP) == (agreed if same else OBJECTS if clear else SILENT)
+        assert glonass_says(f, take(everything, everything.group > 1), told, SETUP) == SILENT
+        counts[glonass_says(f, everything, alone, SETUP)] += 1
+    assert counts.min() > 0
+
+
+@pytest.mark.parametrize("left_out", [0, 3])
+def test_a_subset_is_borne_out_by_the_search_of_all(left_out):
+    """Whichever satellite is left out, the reference of the others too; by the same integers, and odds of its own."""
+    f, everything = floating(np.random.default_rng(5))
+    gps = take(everything, everything.group == 0)
+    by_height = np.argsort(-gps.weight)
+    found = search(f, gps, np.nan, 0.01)
+    subset = search(f, take(gps, np.arange(GPS) != by_height[left_out]), np.nan, 0.01)
+    assert len(subset.pairs) == GPS - 2
+    assert is_borne_out(f, subset, found, ALL_LEAST, SETUP)
+    assert not is_borne_out(f, subset, found, ALL_LEAST - 0.01, SETUP)
+    assert not is_borne_out(f, subset, found._replace(resolved=False), ALL_LEAST, SETUP)
+    assert not is_borne_out(f, but_one(subset, 1), found, ALL_LEAST, SETUP)
+
+
+def test_what_must_last_is_surer_over_a_distance_whose_atmosphere_is_no_state():
+    """Few integers, on one band nearer than 10 km; where the atmosphere is a state the search knows of it, and near by it is not felt."""
+    few = WEAK_COUNT - 1
+    for length_m, asked in (
+        (0.0, 1.0),
+        (ATMOSPHERE_FROM_M, 1.0),
+        (ATMOSPHERE_FROM_M + 1.0, 1.4),
+        (9e3, ACCEPT_AT_ONCE / ACCEPT_AFTER_STREAK),
+    ):
+        f = filter_at(np.array([0.0, length_m, 0.0]), np.ones(3))
+        assert is_felt(f) is (length_m > ATMOSPHERE_FROM_M)
+        assert odds_of_lasting(f, few) == pytest.approx(asked * ACCEPT_AFTER_STREAK, rel=1e-3)
+        assert odds_of_lasting(f, WEAK_COUNT) == ACCEPT_AFTER_STREAK
+        calm = Filter(np.append(f.x, 0.0), np.eye(DYNAMIC + 1), np.array([ZENITH_KEY]), np.zeros((1, HISTORY)))
+        assert odds_of_lasting(calm, few) == ACCEPT_AFTER_STREAK

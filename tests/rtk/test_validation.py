@@ -12,10 +12,20 @@ from rtkmesh.rtk.asked_odds import STREET_CODES
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import DOUBTS, FIX_SIGMA, HELD_SINCE_S, PROVEN_S, SHOWN, new_memory, resolve_setup
 from rtkmesh.rtk.options import AmbiguityOptions
-from rtkmesh.rtk.predicted import PREDICTION_FLOOR_M, WEAK_M, carry, departure
+from rtkmesh.rtk.predicted import FULL_STEP_S, PREDICTION_FLOOR_M, WEAK_M, carry, departure, learn_fix, share_of_step, spread
 from rtkmesh.rtk.redundancy import LEAST_SATELLITES, count_satellites
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, HISTORY, INTEGER, Filter
-from rtkmesh.rtk.validation import FEW_AMBIGUITIES, FIX_OK, FIX_SIGMA_M, JOIN_FIT_STREET, NOT_VALID, STREET_SIGMA_M, TOO_UNCERTAIN, fix
+from rtkmesh.rtk.validation import (
+    DEPARTURE_LIMIT,
+    FEW_AMBIGUITIES,
+    FIX_OK,
+    FIX_SIGMA_M,
+    JOIN_FIT_STREET,
+    NOT_VALID,
+    STREET_SIGMA_M,
+    TOO_UNCERTAIN,
+    fix,
+)
 
 WAVELENGTH_M = 0.19
 PHASE_SIGMA_M = 0.015
@@ -106,6 +116,41 @@ def test_departures_are_normalised_by_both(seed, sigma_m):
     P, x, at_m = 1e-3 * A @ A.T + 1e-5 * np.eye(DYNAMIC), rng.normal(size=DYNAMIC), rng.normal(size=3)
     gap_m, cov_m2 = x[:3] - at_m, P[:3, :3] + (PREDICTION_FLOOR_M + sigma_m) ** 2 * np.eye(3)
     assert departure(x, P, predicted(at_m, sigma_m)) == pytest.approx(gap_m @ np.linalg.solve(cov_m2, gap_m), rel=1e-9)
+
+
+def drifted_m(rate_hz, by_the_second=True):
+    """How far (m) fixes that drift by 0.4 m/s go before one is refused; 2 m where none is."""
+    prediction, P = predicted(TRUE_M, 0.0), 1e-4 * np.eye(DYNAMIC)
+    share = share_of_step(1.0 / rate_hz) if by_the_second else 1.0
+    for k in range(5 * rate_hz):
+        x = np.concatenate([TRUE_M + np.array([0.4 * (k + 1) / rate_hz, 0.0, 0.0]), np.zeros(6)])
+        spread(prediction, 0.003, share)
+        if departure(x, P, prediction) > DEPARTURE_LIMIT:
+            return x[0] - TRUE_M[0]
+        learn_fix(prediction, x, share)
+    return 2.0
+
+
+def test_fixes_that_drift_are_seen_at_every_rate():
+    """Against what the fixes of the last second say; against the last one alone nothing is to be seen of it at 10 Hz."""
+    assert drifted_m(1) == pytest.approx(0.4)
+    assert drifted_m(10) < 0.2
+    assert drifted_m(20) < 0.2
+    assert drifted_m(10, by_the_second=False) == 2.0
+
+
+def test_at_a_hertz_a_prediction_begins_with_the_last_fix():
+    """So it does where nothing was known before, or nothing is known of the step; else it comes as near as the step is long."""
+    x, before = TRUE_M + 0.1, predicted(TRUE_M, 0.02)
+    for share, prediction, moved in (
+        (share_of_step(1.0), before.copy(), 1.0),
+        (share_of_step(np.nan), before.copy(), 1.0),
+        (0.25, np.full(7, np.nan), 1.0),
+        (share_of_step(0.1), before.copy(), 0.1 / FULL_STEP_S),
+    ):
+        learn_fix(prediction, x, share)
+        assert prediction[:3] == pytest.approx(TRUE_M + 0.1 * moved, abs=1e-9)
+        assert prediction[3] == pytest.approx(0.02 * (1.0 - moved), abs=1e-12)
 
 
 def sigma_m(resolution):

@@ -10,6 +10,7 @@ from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.models.odds import NORM_LIMIT
 from rtkmesh.rtk.ambiguity import Candidates, Search, compare_integers, search, take
+from rtkmesh.rtk.asked_odds import WEAK_COUNT, is_felt, odds_of_lasting
 from rtkmesh.rtk.common_integers import search_common
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -17,6 +18,7 @@ from rtkmesh.rtk.memory import (
     CONFIRMED,
     DOUBTS,
     HELD_SINCE_S,
+    LAST_ODDS,
     SHOWN,
     STREAK_EPOCHS,
     STREAK_EPOCHS_LEAST,
@@ -35,7 +37,6 @@ from rtkmesh.rtk.witness import LEAST, others_of
 Vector = NDArray[np.float64]
 
 WEAK_STREAK_S: Final = 30.0  # with few ambiguities: code multipath must have changed in between
-WEAK_COUNT: Final = 8
 # Beyond FAR_M the atmosphere may make a few wrong integers fit, and goes on to: fewer than FAR_COUNT, however clear, must last, for
 # WEAK_STREAK_S times the square of the distance in FAR_M, FAR_STREAK_S at most. Believed at once where one search is clear, simulated runs
 # of two seeds had 82 wrong fixes for 26, up to 33 s long for 11, and right ones 99 and 93 for 98 and 90 % at 10 km, 79 and 76 for 66 and
@@ -54,6 +55,12 @@ WEAKEST: Final = 5  # so many of the weakest satellites are left out in turn
 # of the others, 0.9 of four and 3.5 of five; right ones had 3.6 and more of six to eight, 4.6 and more of five.
 OPEN_SLOPE_LEAST: Final = 3.0
 OPEN_SLOPE_FEW: Final = 4.0  # where the integers of the others are fewer than ``witness.LEAST``
+SILENT, AGREES, OBJECTS = range(3)  # what GLONASS says of integers that were found without it
+# Log odds of other integers by the search with GLONASS that forbid those which are found without it.
+AGAINST_LEAST: Final = 2.5
+# Log odds by which the search of all must bear out a subset of few over a baseline whose atmosphere is felt. Of 34 such in simulation 25 of
+# 27 right ones had 3.3 and more, the three wrong ones 0.5, 1.8 and 3.8; nearer by four of 16 right ones had less, and none was wrong.
+ALL_LEAST: Final = 3.0
 WIDE_M: Final = 5.0  # sigma in 3D of a float solution from which on odds must be better: epochs under open sky are three times as good
 SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chance
 
@@ -69,7 +76,7 @@ def try_new(
     """
     release(f)
     memory[HELD_SINCE_S] = np.inf
-    best, level, penalty, wide, needed, space = free, f, 0.0, False, asked_of_free, log_space(f)
+    best, level, penalty, wide, part, needed, space = free, f, 0.0, False, False, asked_of_free, log_space(f)
     if not _strong(best, space, setup, needed) and helped and len(candidates.row) > 1:
         found = search_all(aided, candidates, setup)
         if found.odds > best.odds:
@@ -77,20 +84,20 @@ def try_new(
     if not _strong(best, space, setup, needed) and len(candidates.row) > 1:
         other = _best_subset(f, candidates, free, setup, time_s)
         if other.odds > best.odds:
-            best, penalty, needed = other, log(SUBSETS), asked
+            best, penalty, needed, part = other, log(SUBSETS), asked, True
         if len(everything.row) > len(candidates.row):
             flat = without_slopes(f)
             sloped, straight = search_all(f, everything, setup), search_all(flat, everything, setup)
             slopeless = straight.odds > sloped.odds and bears_out(f, sloped, straight)
             with_glonass = straight if slopeless else (sloped if isfinite(setup.length_m) else possible(f, sloped))
             if with_glonass.odds > best.odds:
-                best, penalty, wide, needed = with_glonass, log(SUBSETS), True, max(asked, ACCEPT_AT_ONCE)
+                best, penalty, wide, part, needed = with_glonass, log(SUBSETS), True, False, max(asked, ACCEPT_AT_ONCE)
                 level = flat if slopeless else f
     far2 = (f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2) / FAR_M**2
     if far2 <= 1.0 and not isfinite(setup.length_m) and not _strong(best, penalty + space, setup, needed):
         common = search_common(f, candidates, setup.confidence * asked + log(SUBSETS) + space)
         if common.resolved:
-            best, penalty, wide, needed = common, log(SUBSETS), False, asked
+            best, penalty, wide, part, needed = common, log(SUBSETS), False, False, asked
     if not best.resolved or len(best.pairs) < setup.minimum_ambiguities:
         memory[STREAK_EPOCHS] = 0.0
         return
@@ -106,6 +113,13 @@ def try_new(
         return
     if reflected and far2 <= 1.0 and are_bare(f, best.pairs):
         return  # elsewhere GLONASS, or another system, may be found by them
+    suspect = part and is_felt(f) and not reflected and len(best.pairs) < FAR_COUNT
+    if suspect and not is_borne_out(f, best, free, memory[LAST_ODDS], setup):
+        return
+    said = glonass_says(aided, everything, best, setup) if len(everything.row) > len(candidates.row) else SILENT
+    vague = not strong and (part or said != AGREES) and best.odds < setup.confidence * odds_of_lasting(f, len(best.pairs)) + penalty + space
+    if said == OBJECTS or vague:
+        return
     if wide:  # the slope that GLONASS fits with is known now
         f.x[:], f.P[:, :] = level.x, level.P
         memory[TRUSTS_GLONASS] = 1.0
@@ -192,6 +206,30 @@ def bears_out(f: Filter, sloped: Search, straight: Search) -> bool:
     least = OPEN_SLOPE_LEAST if len(own) >= LEAST else OPEN_SLOPE_FEW
     clear = sloped.resolved and straight.resolved and sloped.odds >= least
     return clear and bool((sloped.integers[own] == straight.integers[own]).all())
+
+
+@kernel
+def is_borne_out(f: Filter, subset: Search, everything: Search, odds: float, setup: ResolveSetup) -> bool:
+    """Return whether the search of all gives the integers of a subset, with log odds of its own (``odds``: without GLONASS as a witness).
+
+    What is left out of a subset makes its odds. If it was right to leave it out, the search of all becomes sure as well.
+    """
+    clear = everything.resolved and odds >= setup.confidence * ALL_LEAST
+    return clear and compare_integers(f.keys, subset.values, f.keys, everything.values)[1] == 0
+
+
+@kernel
+def glonass_says(f: Filter, everything: Candidates, found: Search, setup: ResolveSetup) -> int:
+    """Return what the search of all, with an open slope of GLONASS phases, says of integers that were found without it: whether it gives
+    the same or others, and is clear enough for that.
+    """
+    told = search_all(f, everything, setup)
+    if not told.resolved:
+        return SILENT
+    same = compare_integers(f.keys, found.values, f.keys, told.values)[1] == 0
+    if told.odds < setup.confidence * (ALL_LEAST if same else AGAINST_LEAST):
+        return SILENT
+    return AGREES if same else OBJECTS
 
 
 @kernel_in_place

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from math import nan
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,10 @@ from rtkmesh.models.single import Located
 from rtkmesh.rtk.code_places import PLACE_SQUARES
 from rtkmesh.rtk.memory import forget
 from rtkmesh.rtk.noise import PHASE
+from rtkmesh.rtk.predicted import FULL_STEP_S
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-
-
-FULL_STEP_S: Final = 0.9  # from this step on an epoch counts in full: at 1 Hz all do
 
 
 class Past(NamedTuple):

@@ -1,4 +1,6 @@
-"""Which log odds one search must have before its integers are believed: what the codes say of the place and the receivers."""
+"""Which log odds searches must have before their integers are believed: what the codes say of the place and the receivers, and what the
+distance leaves open.
+"""
 
 from math import isfinite, sqrt
 from typing import Final
@@ -7,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel_in_place
-from rtkmesh.rtk.memory import ACCEPT_AT_ONCE
+from rtkmesh.rtk.memory import ACCEPT_AFTER_STREAK, ACCEPT_AT_ONCE
 from rtkmesh.rtk.noise import DOF, SCALE_PRIOR_DOF, SQUARES
+from rtkmesh.rtk.state import ZENITH_KEY, Filter, place_of
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -24,6 +27,9 @@ ASKED_OF_WITNESSED: Final = 6.0
 # Beyond STREET_CODES wrong ones of a single search had up to 8.5 (8.9 m off) in simulated streets, and to 10.3 with GLONASS.
 STREET_CODES: Final = 4.0
 ASKED_OF_STREETS: Final = 9.0
+WEAK_COUNT: Final = 8  # fewer integers are few
+# Nearer, what the atmosphere leaves is below the phases' multipath.
+ATMOSPHERE_FROM_M: Final = 4e3
 DOUBLED_M: Final = 10e3  # one epoch cannot tell its atmosphere: there log odds are worth half (``integrity.sureness``)
 
 
@@ -57,5 +63,28 @@ def asked_odds(level: float, witnessed: bool, baseline_m: Vector) -> float:
         near = ASKED_OF_SURVEY_CODES
     elif witnessed and level <= FAIR_CODES:
         near = ASKED_OF_WITNESSED
+    return _at_length(near, baseline_m)
+
+
+@kernel_in_place
+def is_felt(f: Filter) -> bool:
+    """Return whether the baseline is so long that integers feel its atmosphere."""
+    return bool(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2 > ATMOSPHERE_FROM_M**2)
+
+
+@kernel_in_place
+def odds_of_lasting(f: Filter, count: int) -> float:
+    """Return the log odds from which so many integers are believed that searches have given for long enough and nothing else bears out.
+
+    Where the atmosphere is felt and no state it is taken for noise that is new in every epoch, but it lasts as long as a few wrong integers
+    that it makes fit.
+    """
+    knows = not is_felt(f) or count >= WEAK_COUNT or place_of(f.keys, ZENITH_KEY) >= 0
+    return ACCEPT_AFTER_STREAK if knows else _at_length(ACCEPT_AFTER_STREAK, f.x)
+
+
+@kernel_in_place
+def _at_length(near: float, baseline_m: Vector) -> float:
+    """Return what is asked over a baseline that begins these states (m), of what is asked at the base."""
     length_m = sqrt(baseline_m[0] ** 2 + baseline_m[1] ** 2 + baseline_m[2] ** 2)
     return min(near * (1.0 + length_m / DOUBLED_M), ACCEPT_AT_ONCE)

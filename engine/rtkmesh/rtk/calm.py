@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch_table
 from rtkmesh.rtk.acceptance import FAR_M
+from rtkmesh.rtk.asked_odds import ATMOSPHERE_FROM_M
 from rtkmesh.rtk.filter import take_out
 from rtkmesh.rtk.matching import count_runs
 from rtkmesh.rtk.state import DYNAMIC, ZENITH_KEY, Filter, is_ionosphere
@@ -18,9 +19,7 @@ from rtkmesh.rtk.state import DYNAMIC, ZENITH_KEY, Filter, is_ionosphere
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# Nearer, what the atmosphere leaves is below the phases' multipath; on one band, where an ionosphere is nearly as free as an ambiguity, the
-# states are worth it from FAR_M on only.
-ATMOSPHERE_FROM_M: Final = 4e3
+# On one band, where an ionosphere is nearly as free as an ambiguity, its states are worth it from FAR_M on only.
 _TWO_BANDS: Final = 1.5  # signals per satellite
 
 

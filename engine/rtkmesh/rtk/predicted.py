@@ -1,5 +1,6 @@
 """Where the last fix and the motion since put the rover: what it says against a fix, and for one that few satellites carry."""
 
+from math import hypot, isfinite
 from typing import Final
 
 import numpy as np
@@ -13,10 +14,35 @@ from rtkmesh.rtk.state import Filter
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
+FULL_STEP_S: Final = 0.9  # from this step on an epoch counts in full: at 1 Hz all do
 PREDICTION_FLOOR_M: Final = 0.02  # sigma of a prediction beside that of the motion since the last fix
 # Sigma in 3D of a fix from which the last one has a say. The filter does not know the integers, so it forgets those of satellites that a
 # house hides; the last fix knew them. Fixes of many satellites are better than any prediction, and stay as they are.
 WEAK_M: Final = 0.03
+
+
+@kernel_in_place
+def share_of_step(step_s: float) -> float:
+    """Return for how much an epoch counts that follows after so many seconds (NaN: the first one): in full from FULL_STEP_S on."""
+    return step_s / FULL_STEP_S if step_s < FULL_STEP_S else 1.0
+
+
+@kernel_in_place
+def learn_fix(prediction: Vector, x: Vector, share: float) -> None:
+    """Let the prediction begin with a fix, for its ``share``: what most fixes of the last second say is what the next one is held against.
+
+    A phase that slowly becomes a reflected one moves the fix by little within a tenth of a second.
+    """
+    part = share if isfinite(prediction[3]) else 1.0
+    for i in range(3):
+        prediction[i] = x[i] if part == 1.0 else prediction[i] + part * (x[i] - prediction[i])
+    prediction[3] = 0.0 if part == 1.0 else (1.0 - part) * prediction[3]
+
+
+@kernel_in_place
+def spread(prediction: Vector, sigma_m: float, share: float) -> None:
+    """Let the prediction become less sure by a step of this sigma (m); errors of steps within a second take each other away."""
+    prediction[3] = prediction[3] + sigma_m if share == 1.0 else hypot(prediction[3], sigma_m)
 
 
 @kernel

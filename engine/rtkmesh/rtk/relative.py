@@ -21,8 +21,9 @@ from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import Motion, Settled, Use, begin_informed, settle
 from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
-from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, ResolveSetup
+from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SHARE, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
+from rtkmesh.rtk.predicted import learn_fix, share_of_step, spread
 from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution, describe_slopes
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
@@ -205,6 +206,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     arranged = lay_out(before, d, since_s, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
     f, layout = arranged.filter, arranged.layout
     _note_walk(known, arranged, model_ecef_m, setup.slip)
+    known.memory[SHARE] = share_of_step(time_s - known.times_s[2])
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     if not outcome.ok or not is_finite(f.x, f.P):
@@ -236,7 +238,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
             squares = (outcome.phase_chi2 + settled.norm) * phase_factor(known.scale)
             learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
     if resolution.fixed:
-        known.prediction[:3], known.prediction[3] = resolution.x[:3], 0.0
+        learn_fix(known.prediction, resolution.x, known.memory[SHARE])
     published, held = resolution.P, held_satellites(f, d, layout)
     if resolution.fixed and len(informed.keys) == 0:
         published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
@@ -334,10 +336,10 @@ def predict_fix(known: Known, arranged: Arranged, model_ecef_m: Vector, base_mov
     if arranged.redundancy >= 1 and not base_moves and not contradicted:
         for i in range(3):
             last[i] += by_phase[i]
-        last[3] += sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
+        spread(last, sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2]), known.memory[SHARE])
     elif heard:
         for i in range(3):
             last[i] += by_doppler[i]
-        last[3] += _DOPPLER_SIGMA_MPS * dt
+        spread(last, _DOPPLER_SIGMA_MPS * dt, known.memory[SHARE])
     else:
         last[:4] = np.nan

@@ -44,6 +44,7 @@ from rtkmesh.rtk.memory import (
     LAST_ODDS,
     LAST_SECOND,
     LAST_SUCCESS,
+    SHARE,
     SHOWN,
     SINCE_SEARCH,
     STREAK_EPOCHS,
@@ -53,7 +54,7 @@ from rtkmesh.rtk.memory import (
     ResolveSetup,
     release,
 )
-from rtkmesh.rtk.predicted import WEAK_M, carry, departure, with_prediction
+from rtkmesh.rtk.predicted import WEAK_M, carry, departure, learn_fix, with_prediction
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.solution import Reason
 from rtkmesh.rtk.state import DYNAMIC, Filter
@@ -281,7 +282,8 @@ def fix(
         elif not _is_far(f) and (alone or (are_bare(f, pairs) and not isfinite(setup.length_m))):
             reason = NOT_VALID
             if away <= DEPARTURE_ALONE:  # not shown, but where the next one is expected from
-                prediction[:3], prediction[3], memory[FIX_SIGMA] = x[:3], 0.0, sigma_m
+                learn_fix(prediction, x, memory[SHARE])
+                memory[FIX_SIGMA] = sigma_m
         else:
             memory[FIX_SIGMA] = sigma_m
             grade = 1 + (1 if memory[CONFIRMED] > 0.0 else 0)
