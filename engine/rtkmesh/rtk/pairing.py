@@ -16,7 +16,7 @@ once, and rover epochs leave in rising time order.
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from math import floor, inf
 from typing import Final
 
@@ -313,7 +313,13 @@ class Pairing:
                 break
             if self._ends_wait(base, time):
                 cut = min(cut, base.order)
-        return cut
+        return max(cut, self._passed(time)) if self.options.interpolate else cut
+
+    def _passed(self, time: GpsTime) -> float:
+        """Return the stream order of the first base epoch beyond ``time``; inf if none has come."""
+        limit = time + self.options.tolerance_s
+        newer = takewhile(lambda base: base.epoch.time > limit, reversed(self._bases))
+        return min((base.order for base in newer), default=inf)
 
     def _ends_wait(self, base: _Base, time: GpsTime) -> bool:
         """Replay: whether at this base epoch nothing was left to wait for: a function of the base's log up to it."""
