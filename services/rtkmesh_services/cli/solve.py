@@ -77,7 +77,7 @@ class Request:
             negative="",
             show_default=False,
             help="Know nothing before the recordings tell it, as on the spot: the same solutions as a replay. Without it ephemerides and "
-            "base position of the first two minutes count from the first epoch on.",
+            "base position of the first two minutes count from the first epoch on, and base epochs are interpolated.",
         ),
     ] = False
     frequencies: Annotated[int | None, Parameter(help="Carrier bands used per satellite, 1 to 5. Default: 2.")] = None
@@ -108,7 +108,7 @@ class Request:
         Parameter(
             show_default=False,
             help="Where no base epoch is of the rover's time, interpolate those on both sides of it (RTKLIB's misc-timeinterp), so that a "
-            "base every 5 to 30 s serves a faster rover. --no-interpolation: use the last one with its age, as on the spot. Default: on.",
+            "base every 5 to 30 s serves a faster rover. --no-interpolation: use the last one with its age. Default: on without --causal.",
         ),
     ] = None
     date: Annotated[
@@ -249,9 +249,9 @@ def _solver_table(request: Request, told: "ConfOptions | None") -> tuple[SolverT
 
 
 def _interpolates(request: Request, table: SolverTable) -> bool:
-    """Return whether base epochs are interpolated: as a flag says, or the file; else they are."""
+    """Return whether base epochs are interpolated: as a flag says, or the file; else where it may be known what comes."""
     said = table.sync.interpolate if request.interpolation is None else request.interpolation
-    return said is not False
+    return not request.causal if said is None else said
 
 
 def _configured(path: Path) -> tuple[SolverTable, Path]:
