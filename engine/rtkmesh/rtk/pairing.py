@@ -56,6 +56,11 @@ class PairingOptions:
         if self.interpolate and not self.replay:
             raise OptionError("base epochs can be interpolated in recordings alone: live the next one is not known yet")
 
+    @property
+    def reach_s(self) -> float:
+        """How much later than a rover epoch the base epochs are that it waits for (s)."""
+        return max(self.maximum_wait_s, self.silent_s) if self.interpolate else self.maximum_wait_s
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:

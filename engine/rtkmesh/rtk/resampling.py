@@ -34,11 +34,10 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_LIMIT_M: Final = 0.02  # by how much a phase may change otherwise than the others ...
-_LIMIT_MPS: Final = 0.001  # ... and per second
-_LIMIT_CYC: Final = 0.25  # ... but never so much that half a cycle could be it
-_BANDS_M: Final = 0.01  # what two bands of one satellite show alike so nearly is its clock or its orbit ...
+_LIMIT_CYC: Final = 0.35  # a phase that changes more against the others may have slipped, by half a cycle or more
+_BANDS_M: Final = 0.02  # what two bands of one satellite show alike so nearly is its clock or its orbit ...
 _BANDS_LIMIT_M: Final = 0.3  # ... up to this: below, no numbers of half cycles of two bands are so near to each other
+_ANOTHER_BAND_M: Final = 0.01  # wavelengths of one band differ by less
 _LEAST_PHASES: Final = 4  # so many at least, and more than half of them, must agree on the change of the clock
 # Error of an interpolated phase per square root of second, where satellite clocks walk at random between two epochs that hold them:
 # measured on the recorded bases at intervals of 5 to 30 s (caesium of GLONASS 3 to 4, all others 0.5 to 1.3 mm).
@@ -181,9 +180,8 @@ def _bridge(
         change_m[1, k] -= clock_m[1]
         votes += 1 if isfinite(change_m[1, k]) else 0
     for k in range(n):
-        limit_m = min(_LIMIT_M + _LIMIT_MPS * elapsed_s, _LIMIT_CYC * wavelength_m[k])
         change, walk_m = change_m[1, k], _walk_m(earlier.satellite[k])
-        agrees = abs(change) <= limit_m
+        agrees = abs(change) <= _LIMIT_CYC * wavelength_m[k]
         agreeing += 1 if agrees else 0
         sigma_m[k] = walk_m * sqrt(part * (1.0 - part) * elapsed_s)
         if not agrees and _is_of_satellite(earlier.satellite, wavelength_m, change_m[1], k):
@@ -207,7 +205,7 @@ def _is_of_satellite(satellite: NDArray[np.int16], wavelength_m: Vector, change_
         j = k + step
         while 0 <= j < len(satellite) and satellite[j] == satellite[k]:
             alike = abs(change_m[j] - change_m[k]) <= _BANDS_M and abs(change_m[k]) <= _BANDS_LIMIT_M
-            if alike and abs(wavelength_m[j] - wavelength_m[k]) > _BANDS_M:
+            if alike and abs(wavelength_m[j] - wavelength_m[k]) > _ANOTHER_BAND_M:
                 return True
             j += step
     return False
