@@ -2,9 +2,10 @@
 
 What is observed minus modelled (``residuals.undifferenced``, the base's known position, one issue of each ephemeris) changes by the base's
 clock, by what satellite clocks and atmosphere do beyond their models, and by noise: nearly linearly over half a minute. So it is
-interpolated per signal, and the model of the instant is put back. A base that stands shows a cycle slip as a change unlike the others';
-such a phase is never interpolated, which would give a fraction of the slip: it goes on from the earlier epoch by the common change of the
-clock, as old as that epoch is, and the slip is where it was recorded. So do signals that the later epoch does not have.
+interpolated per signal, and the model of the instant is put back. No slip is ever interpolated, which would give a part of it. A phase of
+which the receiver says that it slipped, or that the later epoch does not have, goes on from the earlier epoch by the common change of the
+clock, as old as that epoch is, and the slip is where it was recorded. A base that stands shows other slips as a change unlike the others';
+over seconds that can be the reflections of a poor place as well, so such a phase has no value until the later epoch.
 """
 
 from collections.abc import Callable
@@ -166,7 +167,7 @@ def _bridge(
 ) -> bool:
     """Let the earlier residuals be those ``part`` of the way on, write what it adds to phases; return whether the clock's change is known.
 
-    A phase votes on the clock where neither a flag nor the lock times say that it slipped.
+    A phase votes on the clock where neither a flag nor the lock times say that it slipped; if it changes otherwise there is none.
     """
     n, elapsed_s = len(partner), (later.week - earlier.week) * SECONDS_PER_WEEK + later.tow_s - earlier.tow_s
     change_m = scratch_table(2, n)
@@ -186,8 +187,10 @@ def _bridge(
         sigma_m[k] = walk_m * sqrt(part * (1.0 - part) * elapsed_s)
         if not agrees and _is_of_satellite(earlier.satellite, wavelength_m, change_m[1], k):
             sigma_m[k] = abs(change) * sqrt(part * (1.0 - part))
-        elif not agrees:
+        elif not isfinite(change):
             change, sigma_m[k] = 0.0, CLOCK_DRIFT_MPS * part * elapsed_s
+        elif not agrees:
+            change = np.nan
         residual_m[0, k, 0] += part * (change_m[0, k] if isfinite(change_m[0, k]) else clock_m[0])
         residual_m[0, k, 1] += part * (clock_m[1] + change)
     return agreeing >= _LEAST_PHASES and 2 * agreeing > votes
