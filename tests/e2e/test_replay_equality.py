@@ -85,7 +85,7 @@ def test_every_solution_equals_the_offline_one_bit_for_bit(name: str, speed: str
     """Also where three of four base epochs are lost, and interpolated."""
     messages = replayed(name, data, tmp_path, speed, more)
     deployment, solutions = offline(tmp_path / name, data)
-    assert any(solution.age_s < -0.5 for solution in solutions) == bool(more), "the nearest base epoch is a later one"
+    assert not more or sum(solution.age_s < -0.5 for solution in solutions) > 100, "the nearest base epoch is a later one"
     table = deployment.solver["rtk"]
     names = {"source": "rtk", "start_id": "", "sequence": 0, "mode": table.mode, "rover": table.rover, "base": table.base}
     expected = [solution_message(solution, **names) for solution in solutions]
