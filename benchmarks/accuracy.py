@@ -38,14 +38,14 @@ _PROGRAM = [sys.executable, "-m", "rtkmesh_services.cli.main"]
 _GATE_PCT = 2.0
 
 
-def ours(program: list[str], case: Case, out: Path, direction: str = "forward") -> Row:
-    """Solve a case with rtkmesh and return its scored row."""
+def ours(program: list[str], case: Case, out: Path, direction: str = "forward", *flags: str) -> Row:
+    """Solve a case with rtkmesh, with further ``flags``, and return its scored row."""
     argv = [*program, "solve", "--rover", str(case.rover), "--base", str(case.base)]
     for file in case.navigation:
         argv += ["--nav", str(file)]
     argv += ["--frequencies", str(case.frequencies), "--systems", case.systems, "--elmask", "15"]
     argv += ["--direction", direction] if direction != "forward" else []
-    argv += ["--base-ecef=" + ",".join(map(str, case.base_ecef_m)), "--format", "xyz", "--out", str(out), "--json"]
+    argv += ["--base-ecef=" + ",".join(map(str, case.base_ecef_m)), "--format", "xyz", "--out", str(out), "--json", *flags]
     if case.date:
         argv += ["--date", case.date]
     try:
@@ -57,11 +57,11 @@ def ours(program: list[str], case: Case, out: Path, direction: str = "forward") 
     return case.score(out) | _cost(done, case) | {"solve_ms_per_epoch": summary["solve_ms_per_epoch"]} | how
 
 
-def theirs(case: Case, out: Path, direction: str = "forward") -> Row:
-    """Solve a case with rnx2rtkp and return its scored row."""
+def theirs(case: Case, out: Path, direction: str = "forward", further: str = "") -> Row:
+    """Solve a case with rnx2rtkp, with ``further`` lines of options, and return its scored row."""
     with tempfile.TemporaryDirectory() as folder:
         try:
-            done = rtklib.solve(case, Path(folder), out, direction)
+            done = rtklib.solve(case, Path(folder), out, direction, further)
         except rtklib.ProgramError as error:
             return {"failed": str(error)}
     return case.score(out) | _cost(done, case)

@@ -96,22 +96,22 @@ def missing() -> list[str]:
     return [name for name in PROGRAMS if shutil.which(name) is None]
 
 
-def solve(case: Case, folder: Path, out: Path, direction: str = "forward") -> Finished:
-    """Solve a case with rnx2rtkp; the cost is that of rnx2rtkp alone, without the conversion to RINEX.
+def solve(case: Case, folder: Path, out: Path, direction: str = "forward", further: str = "") -> Finished:
+    """Solve a case with rnx2rtkp, with ``further`` lines of options; the cost is that of rnx2rtkp alone, without the conversion to RINEX.
 
     Backward, rnx2rtkp writes from the last epoch to the first; the file is put in order of time.
     """
-    done = run(command(case, rinex(case, folder), folder, out, *_DIRECTIONS[direction]))
+    done = run(command(case, rinex(case, folder), folder, out, *_DIRECTIONS[direction], further=further))
     if direction == "backward":
         lines = out.read_text().splitlines(keepends=True)
         out.write_text("".join([line for line in lines if line[0] == "%"] + sorted(line for line in lines if line[0] != "%")))
     return done
 
 
-def command(case: Case, files: list[Path], folder: Path, out: Path, *flags: str) -> list[str]:
+def command(case: Case, files: list[Path], folder: Path, out: Path, *flags: str, further: str = "") -> list[str]:
     """Return the command that solves a case's RINEX files."""
     conf = folder / "rnx2rtkp.conf"
-    conf.write_text(options(case))
+    conf.write_text(f"{options(case)}\n{further}")
     return ["rnx2rtkp", "-k", str(conf), *flags, "-o", str(out), *map(str, files)]
 
 

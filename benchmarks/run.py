@@ -52,6 +52,7 @@ BENCHMARKS = (
     Benchmark("rates", "rates.py", "The same runs at 1, 5 and 10 Hz", ("--quick",), recordings=False),
     Benchmark("dive", "dive.py", "After dives, RTKLIB on the same bytes", ("--quick",), recordings=False),
     Benchmark("directions", "directions.py", "Forward, backward and combined, beside RTKLIB's", ("--quick",)),
+    Benchmark("thin_base", "thin_base.py", "A base every 5 to 30 s, interpolated or not, beside RTKLIB's", ("--quick",)),
     Benchmark("heading", "heading.py", "How a heading repeats, beside RTKLIB's", ("--quick",)),
     Benchmark("attitude_age", "attitude_age.py", "What an old base does to a heading, beside RTKLIB's", ("--quick",), recordings=False),
     Benchmark("attitude", "attitude.py", "Two, three and four simulated antennas against the truth", ("--quick",), recordings=False),

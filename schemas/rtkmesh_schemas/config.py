@@ -183,11 +183,16 @@ class IntegrityTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class SyncTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[solver.ID.sync]``: pairing. ``max_wait_s``: how long a rover epoch waits for its base epoch; ``matched_only``: pos2-syncsol."""
+    """``[solver.ID.sync]``: pairing. ``max_wait_s``: how long a rover epoch waits for its base epoch; ``matched_only``: pos2-syncsol.
+
+    ``interpolate`` (recordings alone): where no base epoch matches, those on both sides are interpolated (misc-timeinterp); where nothing
+    is said, ``rtkmesh solve`` does so and a solver of a deployment does not.
+    """
 
     max_wait_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0
     matched_only: bool = False
     tolerance_s: Annotated[float, Meta(gt=0.0, le=0.5)] = 0.025
+    interpolate: bool | None = None
 
 
 class SolverTable(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

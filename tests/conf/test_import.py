@@ -210,6 +210,21 @@ def test_the_traps_of_rtkrcv_ros(confs: list[Path]):
     assert "reads 'on' as 0" in next(row.note for row in new.rows if row.key == "pos1-tidecorr")
 
 
+@pytest.mark.parametrize("value", ["on", "off"])
+@pytest.mark.parametrize("source", ["file", "serial"])
+def test_interpolation_is_of_recordings(value: str, source: str):
+    """RTKLIB's on is taken where both inputs are files, and of a file without streams; off, its default, is no wish of the file's."""
+    paths = {"file": "{}.ubx", "serial": "tty{}:9600:8:n:1:off"}
+    streams = "".join(f"inpstr{k}-type ={source}\ninpstr{k}-path ={paths[source].format(k)}\ninpstr{k}-format =ubx\n" for k in (1, 2))
+    post = f"pos1-posmode =kinematic\nmisc-timeinterp ={value}\n"
+    live = import_conf(parse_conf((streams + post).encode(), "f"))
+    assert live.solver.sync.interpolate == (True if (value, source) == ("on", "file") else None)
+    alone = import_conf(parse_conf(post.encode(), "f"))
+    assert alone.solver.sync.interpolate == (True if value == "on" else None)
+    row = next(row for row in live.rows if row.key == "misc-timeinterp")
+    assert row.alters == ((value, source) == ("on", "serial"))
+
+
 def test_the_dialect_is_found_or_doubted():
     """By keys, names, lists and titles; what speaks against it is told; without anything it is demo5."""
     assert parse_conf(b"pos2-arfilter =on\n", "f").dialect == "demo5"

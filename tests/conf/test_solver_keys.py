@@ -27,7 +27,7 @@ tables = st.builds(
     baseline_length_m=rounded,
     baseline_sigma_m=rounded,
     excluded=st.lists(st.sampled_from(["G05", "R12", "E11", "C02", "J01", "S20"]), unique=True).map(tuple),
-    sync=st.builds(SyncTable, matched_only=st.booleans()),
+    sync=st.builds(SyncTable, matched_only=st.booleans(), interpolate=st.sampled_from([None, True])),
     noise=st.builds(NoiseTable, phase_a_m=rounded, phase_b_m=rounded, code_ratio=rounded),
     dynamics=st.builds(DynamicsTable, acceleration_horizontal_mps2=rounded, acceleration_vertical_mps2=rounded, ambiguity_cyc=rounded),
     ambiguity=st.builds(

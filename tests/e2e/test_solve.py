@@ -1,6 +1,7 @@
 """``rtkmesh solve`` as users run it: flags, exit codes, output."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -134,6 +135,35 @@ def test_backward_and_combined(data: Path, tmp_path: Path) -> None:
     assert (summary["direction"], summary["epochs"], summary["combined"]) == ("combined", 60, {"agreed": 60})
     assert [part["epochs"] for part in summary["directions"].values()] == [60, 60]
     assert list(summary["directions"]) == ["forward", "backward"]
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_a_slow_base_is_interpolated(data: Path, tmp_path: Path) -> None:
+    """One base epoch in fifteen seconds: ages are those of the nearer one, and errors half of those with the last one, which --causal takes
+    by itself; a file says either, and flags overrule it.
+    """
+    header, end, body = (data / SET / "3034078M1.21O").read_text().partition("END OF HEADER")
+    line, *epochs = re.split(r"(?m)^(?=> )", body)
+    base, config, out = tmp_path / "base.obs", tmp_path / "solver.toml", tmp_path / "out.pos"
+    base.write_text("".join([header, end, line, *(epoch for epoch in epochs if float(epoch[18:29]) % 15.0 == 0.0)]))
+    config.write_text('[solver]\nrover = "rover"\nbase = "base"\nsync = { interpolate = false }\n')
+
+    with_slow_base = [str(base) if word.endswith("3034078M1.21O") else word for word in arguments(data)]
+
+    def solved(*more: str) -> tuple[float, list[float]]:
+        """Return the error (m, median of the fixes) and the ages (s)."""
+        assert run([*with_slow_base, f"--base-ecef={BASE_ECEF_M}", "--format", "xyz", "--out", str(out), "--quiet", *more]) == 0
+        fixes = [[float(v) for v in row[2:5]] for row in rows(out) if row[5] == "1"]
+        return float(np.median(np.linalg.norm(np.array(fixes) - TRUTH_ECEF_M, axis=1))), [float(row[13]) for row in rows(out)]
+
+    error_m, ages_s = solved()
+    old_error_m, old_ages_s = solved("--no-interpolation")
+    assert error_m < 0.6 * old_error_m
+    assert ages_s[:18] == pytest.approx([*range(8), *range(-7, 0), 0, 1, 2], abs=1e-3)
+    assert old_ages_s == pytest.approx([k % 15 for k in range(60)], abs=1e-3)
+    assert solved("--config", str(config)) == solved("--causal") == (old_error_m, old_ages_s)
+    assert solved("--config", str(config), "--interpolation")[0] == error_m
 
 
 @pytest.mark.data

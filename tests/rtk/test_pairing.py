@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtkmesh.errors import OptionError
 from rtkmesh.gnss.epoch import Epoch, make_epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.pairing import Pair, Pairing, PairingOptions
@@ -128,6 +129,13 @@ def test_duplicates_and_late_rover_epochs_are_counted_not_solved() -> None:
 
 def replay(rovers: list[float], bases: list[float], order: list[bool], options: PairingOptions) -> list[tuple[float, float | None]]:
     """Interleave two streams as ``order`` says (True: next of the rover's); return (rover tag, base tag) of the pairs."""
+    return [(rover, base) for rover, base, _ in replayed(rovers, bases, order, options)]
+
+
+def replayed(
+    rovers: list[float], bases: list[float], order: list[bool], options: PairingOptions
+) -> list[tuple[float, float | None, float | None]]:
+    """Return the tag of the base epoch after the rover's as well, where both may be interpolated."""
     pairing, pairs = Pairing(options), []
     queues = {True: list(rovers), False: list(bases)}
     for pick in [*order, *[True] * len(rovers), *[False] * len(bases)]:
@@ -137,7 +145,7 @@ def replay(rovers: list[float], bases: list[float], order: list[bool], options: 
         pairs += iter(lambda: pairing.next_pair(0.0), None)
     pairing.end_base()
     pairs += iter(lambda: pairing.next_pair(0.0), None)
-    return [(p.rover.time - START, None if p.base is None else p.base.time - START) for p in pairs]
+    return [(p.rover.time - START, *(None if e is None else e.time - START for e in (p.base, p.later))) for p in pairs]
 
 
 @settings(max_examples=60, deadline=None)
@@ -175,6 +183,31 @@ def test_replays_of_an_orderly_base_do_not_depend_on_interleaving_either(order: 
     expected = replay(rovers, bases, [False] * len(bases), options)
     assert replay(rovers, bases, order, options) == expected
     assert all(base == pytest.approx(max(b for b in bases if b <= rover + 0.025)) for rover, base in expected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.booleans(), max_size=300), st.sets(st.integers(0, 119), max_size=80), st.sampled_from([0.5, 2.0, 7.0]), st.booleans())
+def test_where_bases_are_interpolated_both_sides_are_given(order: list[bool], lost: set[int], slower: float, swapped: bool) -> None:
+    """The base epochs next to the rover's, at most ``silent_s`` apart, however the streams are interleaved; a match stands alone."""
+    if swapped:  # by less than is waited for
+        slower, lost = min(slower, 2.0), set(sorted(lost)[:20])
+    rovers, bases = [k * 0.5 for k in range(160)], [k * slower for k in range(120) if k not in lost]
+    arriving = [base for pair in zip(bases[1::2], bases[::2], strict=False) for base in pair] if swapped else bases
+    options = PairingOptions(replay=True, interpolate=True, silent_s=30.0, maximum_wait_s=60.0)
+    expected = replayed(rovers, arriving, [False] * len(arriving), options)
+    assert replayed(rovers, arriving, order, options) == expected
+    for rover, base, later in expected:
+        assert later is None or (base is not None and base < rover < later <= base + 30.0)
+        if not swapped:
+            past, future = [b for b in bases if b <= rover], [b for b in bases if b > rover]
+            between = bool(past) and rover not in past and bool(future) and min(future) - max(past) <= 30.0
+            assert later == (pytest.approx(min(future)) if between else None)
+            assert not past or rover - max(past) > 30.0 or base == pytest.approx(max(past))
+
+
+def test_only_recordings_know_the_next_base_epoch() -> None:
+    with pytest.raises(OptionError, match="in recordings alone"):
+        PairingOptions(interpolate=True)
 
 
 def test_a_replayed_rover_does_not_wait_for_epochs_that_an_orderly_slow_base_never_sends() -> None:

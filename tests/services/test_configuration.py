@@ -14,7 +14,7 @@ from rtkmesh.rtk.options import AmbiguityOptions, RtkOptions
 from rtkmesh_schemas.config import LEAST_AMBIGUITIES
 from rtkmesh_schemas.errors import ConfigError
 from rtkmesh_schemas.keys import Role
-from rtkmesh_services.mapping.options import rtk_options
+from rtkmesh_services.mapping.options import rtk_options, session_options
 from rtkmesh_services.runtime.configuration import (
     ConfigErrors,
     find_data_folder,
@@ -113,6 +113,7 @@ MISTAKES = [
     ("= 30", "= 30 s", 19, ["no TOML"]),
     ("max_wait_s", "max_wait", 20, ["[solver.rtk.sync] unknown key 'max_wait'", "'max_wait_s'"]),
     ("0.5,", "99.0,", 20, ["[solver.rtk.sync] max_wait_s", "<= 60.0"]),
+    ("matched_only = true", "interpolate = true", 20, ["[solver.rtk.sync] interpolate: [ingest.base] is live", "of recordings alone"]),
     ("matched_only = true", "matched_only = 1", 20, ["[solver.rtk.sync] matched_only", "true or false"]),
     ('"continuous"', '"continous"', 23, ["[solver.rtk.ambiguity] mode", "did you mean 'continuous'"]),
     ("ratio = 3.0", "ratoi = 3.0", 24, ["[solver.rtk.ambiguity] unknown key 'ratoi'", "'ratio'"]),
@@ -134,6 +135,16 @@ def test_a_mistake_is_named_with_its_line_and_the_right_name(right: str, wrong: 
     assert messages, [str(error) for error in found]
     assert messages[0].line == line
     assert str(messages[0]).startswith(f"f.toml:{line}: ")
+
+
+def test_base_epochs_of_recordings_may_be_interpolated_if_the_base_stands():
+    """Both sources are files; a moving base is refused."""
+    replay = GOOD.replace("tcp://localhost:5015", "file://base.ubx").replace("matched_only = true", "interpolate = true")
+    assert not errors_of(replay)
+    assert session_options(parse_deployment(replay, "f.toml").solver["rtk"], replay=True).pairing.interpolate
+    assert not session_options(parse_deployment(GOOD, "f.toml").solver["rtk"], replay=True).pairing.interpolate
+    [error] = errors_of(replay.replace('"kinematic"', '"moving-base"'))
+    assert (error.line, "a moving base is not where it was" in error.message) == (20, True)
 
 
 def test_few_ambiguities_are_enough_where_the_length_is_known():

@@ -56,7 +56,7 @@ class Past(NamedTuple):
 
 class Around(NamedTuple):
     """What an epoch comes with: the base epochs that share no system, ephemerides, the single points of the rover and of a moving base, the
-    base's position (ECEF, m), how many satellites rover and base have.
+    base's position (ECEF, m), how many satellites rover and base have, the age of the base (s).
     """
 
     rover: Epoch
@@ -65,6 +65,7 @@ class Around(NamedTuple):
     singles: tuple[Located, Located | None]
     base_ecef_m: Vector
     satellites: tuple[int, int]
+    age_s: float
 
 
 def at_instant_of(rover: Epoch, single: Located, base: Epoch, base_single: Located, issues: Issues) -> Epoch:

@@ -6,7 +6,7 @@ the ephemerides are those that it knew at each epoch; only where it knew none of
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -35,6 +35,7 @@ class Taken:
     base: Epoch | None
     issues: int
     given: int
+    age_s: float | None = None  # as Pair has it
 
 
 @dataclass(slots=True)
@@ -57,7 +58,7 @@ class Course:
         given = self.session.given(pair)
         if not self.givens or not _equal(given, self.givens[-1]):
             self.givens.append(given)
-        return Taken(pair.rover, pair.base, len(self.issues), len(self.givens) - 1)
+        return Taken(pair.rover, pair.base, len(self.issues), len(self.givens) - 1, pair.age_s)
 
 
 def _equal(a: Given, b: Given) -> bool:
@@ -96,14 +97,14 @@ class Backward:
                 self.engine.antennas(*given.antennas)
             yield self.engine.step(
                 item.rover, item.base, self.course.session.table, given.klobuchar, base_position_ecef_m=given.base_position_ecef_m,
-                glonass_bias=given.glonass_bias, earlier_bases=self._earlier(item.base),
+                glonass_bias=given.glonass_bias, earlier_bases=self._earlier(item.base), age_s=item.age_s,
             )  # fmt: skip
 
     def _turned(self, taken: Iterable[Taken]) -> Iterator[Taken]:
         """Yield with turned epochs, when the base epochs that may complement an epoch's own are turned too."""
         waiting: deque[Taken] = deque()
         for item in taken:
-            waiting.append(Taken(self._rover.turn(item.rover), self._turned_base(item.base), item.issues, item.given))
+            waiting.append(replace(item, rover=self._rover.turn(item.rover), base=self._turned_base(item.base)))
             while waiting[0].rover.time - item.rover.time > 2.0 * COMPLEMENT_S:
                 yield waiting.popleft()
         yield from waiting

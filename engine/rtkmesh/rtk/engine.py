@@ -178,12 +178,14 @@ class Rtk:
         base_position_ecef_m: Vector | None = None,
         glonass_bias: GlonassBias | None = None,  # noqa: ARG002  part of what a base says; see the docstring for why it changes nothing
         earlier_bases: Iterable[Epoch] | None = None,
+        age_s: float | None = None,
     ) -> Solution:
         """Return the solution of a rover epoch with its base epoch (the same or an older one; None if there is none).
 
         ``base_position_ecef_m`` is the antenna of the base (not needed in moving-base mode). ``glonass_bias``
         changes nothing: a code bias that all channels share is part of the group's clock. ``earlier_bases`` are base epochs that were
-        recorded before this one, newest first, for the systems that it lacks; None: those of the steps before.
+        recorded before this one, newest first, for the systems that it lacks; None: those of the steps before. ``age_s`` is what the
+        solution says of the base's age where that is not the difference of the tags: of an interpolated one.
         """
         if self._is_instantaneous:
             self._forget()
@@ -211,7 +213,8 @@ class Rtk:
         bases = [base]
         if not self._base_moves:
             bases = complemented(base, missing, self._bases.before(base) if earlier_bases is None else earlier_bases)
-        around = Around(rover, bases, issues, (single, base_single), base_position_ecef_m, (satellites[0], satellites[1]))
+        age_s = rover.time - base.time if age_s is None else age_s
+        around = Around(rover, bases, issues, (single, base_single), base_position_ecef_m, (satellites[0], satellites[1]), age_s)
         return self._doubted(self._relative(around))
 
     def _doubted(self, solution: Solution) -> Solution:
@@ -289,7 +292,7 @@ class Rtk:
         rover, base, single = around.rover, around.bases[0], around.singles[0]
         self._past.walk.fill(nan)
         solved = self._solved_from_past(around) or self._solved_from_here(around)
-        state, age_s = self._state, rover.time - base.time
+        state, age_s = self._state, around.age_s
         if state is None or solved is None:
             return self._alone(rover, base, single)
         if solved.status == SOLVED and not solved.figures[IS_FIXED] and self._may_begin_anew(state, single):

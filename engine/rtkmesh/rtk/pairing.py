@@ -9,16 +9,18 @@ Epochs are paired by their time tags. A rover epoch waits for the base epoch tha
   then depends on the two streams alone, never on how they were interleaved.
 
 A base epoch of the future is used in replay alone, and only where none of the past will do: at the start of a base's log, and after its
-long gaps. An epoch that comes twice counts once, and rover epochs leave in rising time order.
+long gaps; and, where it is asked for, beside the past one: the base is then interpolated (``resampling``). An epoch that comes twice counts
+once, and rover epochs leave in rising time order.
 """
 
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from math import floor, inf
 from typing import Final
 
+from rtkmesh.errors import OptionError
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 
@@ -37,7 +39,8 @@ class PairingOptions:
     ``tolerance_s``: largest difference of tags of one epoch (receiver clock steering); ``maximum_wait_s``: how long a rover
     epoch waits; ``matched_only``: never use another base epoch than the matching one; ``silent_s``: a base that sent nothing for so
     long is not waited for, and an epoch so old is of no use; ``has_base``: False in mode single; ``replay``: the deadline clock is the
-    base log's; ``capacity``: rover epochs that may wait (live: the oldest is dropped and counted beyond that).
+    base log's; ``capacity``: rover epochs that may wait (live: the oldest is dropped and counted beyond that); ``interpolate`` (replay
+    alone): a rover epoch without a matching base epoch gets those on both sides of it, if they are not more than ``silent_s`` apart.
     """
 
     tolerance_s: float = 0.025
@@ -47,16 +50,32 @@ class PairingOptions:
     has_base: bool = True
     replay: bool = False
     capacity: int = 256
+    interpolate: bool = False
+
+    def __post_init__(self) -> None:
+        if self.interpolate and not self.replay:
+            raise OptionError("base epochs can be interpolated in recordings alone: live the next one is not known yet")
+
+    @property
+    def reach_s(self) -> float:
+        """How much later than a rover epoch the base epochs are that it waits for (s)."""
+        return max(self.maximum_wait_s, self.silent_s) if self.interpolate else self.maximum_wait_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """A rover epoch on its way to the engine, with its base epoch or None; ``order`` is its place in the rover's stream."""
+    """A rover epoch on its way to the engine, with its base epoch or None; ``order`` is its place in the rover's stream.
+
+    ``later`` is the base epoch after it where the base may be interpolated. ``age_s``: how much older than the rover epoch the nearest
+    base epoch is of which the base's was made; None: what the tags say.
+    """
 
     rover: Epoch
     base: Epoch | None
     order: int
     waited_s: float
+    later: Epoch | None = None
+    age_s: float | None = None
 
 
 @dataclass(slots=True)
@@ -202,14 +221,15 @@ class Pairing:
         if not self._rovers:
             return None
         waiting = self._rovers[0]
-        found, base = self._decide(waiting, now_s)
+        found, base, later = self._decide(waiting, now_s)
         if not found:
             return None
         self._rovers.popleft()
         self._last_solved = waiting.epoch.time
         self._count(waiting, base)
         self._forget(waiting.epoch.time)
-        return Pair(waiting.epoch, base, waiting.order, 0.0 if self.options.replay else max(0.0, now_s - waiting.arrived_s))
+        waited_s = 0.0 if self.options.replay else max(0.0, now_s - waiting.arrived_s)
+        return Pair(waiting.epoch, base, waiting.order, waited_s, later)
 
     def deadline_s(self) -> float:
         """Return the instant (caller's clock) at which ``next_pair`` must be asked again without new input; inf if none."""
@@ -230,19 +250,22 @@ class Pairing:
         self._bases.clear()
         self._gaps_s.clear()
 
-    def _decide(self, waiting: _Waiting, now_s: float) -> tuple[bool, Epoch | None]:
-        """Return (whether waiting is over, base epoch)."""
+    def _decide(self, waiting: _Waiting, now_s: float) -> tuple[bool, Epoch | None, Epoch | None]:
+        """Return (whether waiting is over, base epoch, the one after the rover's where both may be interpolated)."""
         options, time = self.options, waiting.epoch.time
         if not options.has_base:
-            return True, None
+            return True, None, None
         cut = self._cut(time) if options.replay else inf
         match = self._match(time, cut)
         if match is not None:
-            return True, match
+            return True, match, None
         over = (self._base_ended or cut < inf) if options.replay else self._given_up(waiting, now_s)
         if not over:
-            return False, None
-        return True, None if options.matched_only else self._other(time, cut)
+            return False, None, None
+        if options.matched_only:
+            return True, None, None
+        other = self._other(time, cut)
+        return True, other, self._beyond(other, time, cut)
 
     def _other(self, time: GpsTime, cut: float) -> Epoch | None:
         """Return the base epoch that serves where none matches."""
@@ -250,6 +273,13 @@ class Pairing:
         if not self.options.replay or (before is not None and time - before.time <= self.options.silent_s):
             return before
         return self._oldest_after(time, cut) or before
+
+    def _beyond(self, base: Epoch | None, time: GpsTime, cut: float) -> Epoch | None:
+        """Return the base epoch on the other side of a rover epoch; None where the base is not interpolated."""
+        if not self.options.interpolate or base is None or base.time > time:
+            return None
+        later = self._oldest_after(time, cut)
+        return later if later is not None and later.time - base.time <= self.options.silent_s + self.options.tolerance_s else None
 
     def _given_up(self, waiting: _Waiting, now_s: float) -> bool:
         """Live: is there nothing more to wait for? Ends of streams, deadline, cadence and silence of the base decide."""
@@ -288,7 +318,13 @@ class Pairing:
                 break
             if self._ends_wait(base, time):
                 cut = min(cut, base.order)
-        return cut
+        return max(cut, self._passed(time)) if self.options.interpolate else cut
+
+    def _passed(self, time: GpsTime) -> float:
+        """Return the stream order of the first base epoch beyond ``time``; inf if none has come."""
+        limit = time + self.options.tolerance_s
+        newer = takewhile(lambda base: base.epoch.time > limit, reversed(self._bases))
+        return min((base.order for base in newer), default=inf)
 
     def _ends_wait(self, base: _Base, time: GpsTime) -> bool:
         """Replay: whether at this base epoch nothing was left to wait for: a function of the base's log up to it."""

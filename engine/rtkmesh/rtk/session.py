@@ -34,6 +34,7 @@ from rtkmesh.rtk.continuation import Continuation
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.rtk.pairing import Pair, Pairing, PairingOptions
+from rtkmesh.rtk.resampling import resampled
 from rtkmesh.rtk.solution import Solution
 
 
@@ -75,7 +76,9 @@ class SessionOptions:
     find_antenna: FindAntenna | None = None
 
 
-def pairing_for(options: RtkOptions, *, replay: bool, maximum_wait_s: float = 1.0, matched_only: bool = False) -> PairingOptions:
+def pairing_for(
+    options: RtkOptions, *, replay: bool, maximum_wait_s: float = 1.0, matched_only: bool = False, interpolate: bool = False
+) -> PairingOptions:
     """Return the pairing that suits a mode: none for single, equal epochs only for a moving base."""
     return PairingOptions(
         tolerance_s=options.time_tolerance_s,
@@ -84,6 +87,7 @@ def pairing_for(options: RtkOptions, *, replay: bool, maximum_wait_s: float = 1.
         silent_s=options.max_age_s,
         has_base=options.mode is not Mode.SINGLE,
         replay=replay,
+        interpolate=interpolate,
     )
 
 
@@ -126,6 +130,7 @@ class Session:
     _jump: Jump | None = None
     _placed: tuple[float, float, float] | None = None  # the base position of the newest epoch, and as the engine takes it
     _place_ecef_m: "np.ndarray[tuple[int], np.dtype[np.float64]] | None" = None
+    _told: GpsTime | None = None  # of the newest base epoch that was given: what receivers said up to then has been heard
 
     def __post_init__(self) -> None:
         self.pairing = Pairing(self.options.pairing)
@@ -157,10 +162,15 @@ class Session:
             yield self.solve(pair)
 
     def next_pair(self, now_s: float) -> Pair | None:
-        """Return the next rover epoch to solve, or None."""
+        """Return the next rover epoch to solve, or None; a base that can be interpolated is, so that its epoch is the rover's."""
         if self.options.pairing.replay and self._ended_navigation < self.options.navigation_streams:
             return None
-        return self.pairing.next_pair(now_s)
+        pair = self.pairing.next_pair(now_s)
+        if pair is None or pair.base is None:
+            return pair
+        pair = pair if pair.later is None else self._interpolated(pair, pair.base, pair.later)
+        self._told = None if pair.base is None else pair.base.time
+        return pair
 
     def given(self, pair: Pair) -> Given:
         """Return what counts for a pair: what all navigation data that precede it say; the ephemerides are in the table then."""
@@ -171,11 +181,23 @@ class Session:
         """Return the solution of one pair, with all navigation data that precede it."""
         self._apply(pair)
         solution = self.engine.step(
-            pair.rover, pair.base, self.table, self.klobuchar, base_position_ecef_m=self._base_position(), glonass_bias=self.glonass_bias
-        )
+            pair.rover, pair.base, self.table, self.klobuchar, base_position_ecef_m=self._base_position(), glonass_bias=self.glonass_bias,
+            age_s=pair.age_s,
+        )  # fmt: skip
         if self._comparison is not None:
             self._compare(self._comparison, pair, solution)
         return replace(solution, waited_s=pair.waited_s) if pair.waited_s != 0.0 else solution
+
+    def _interpolated(self, pair: Pair, base: Epoch, later: Epoch) -> Pair:
+        """Return the pair with the base at the rover's instant; with the earlier base epoch where that cannot be."""
+        self._apply(pair)
+        place, time = self._base_position(), pair.rover.time
+        if place is None:
+            return replace(pair, later=None)
+        told = self._told is not None and self._told >= base.time
+        made = resampled(base, later, time, self.table.issues, place, self.klobuchar, slips_told=told)
+        ages_s = time - base.time, time - later.time
+        return replace(pair, later=None) if made is None else replace(pair, base=made, later=None, age_s=min(ages_s, key=abs))
 
     def deadline_s(self) -> float:
         """Return the instant of the deadline clock at which ``solutions`` must be asked again; inf if none."""
@@ -186,7 +208,7 @@ class Session:
         self.options = options or self.options
         self.pairing = Pairing(self.options.pairing)
         self.engine = Rtk(self.options.rtk)
-        self._comparison = self._jump = None
+        self._comparison = self._jump = self._told = None
         self._use_antennas()
         self._rover_pending = deque((0, message) for _, message in self._rover_pending)
 
@@ -228,7 +250,7 @@ class Session:
         return jump
 
     def _forget_base(self) -> None:
-        self._comparison = self._jump = self.station = self.glonass_bias = self._base_time = None
+        self._comparison = self._jump = self.station = self.glonass_bias = self._base_time = self._told = None
         of_base = ReferenceStation | GlonassBias
         kept = [row for row in self._other_pending if not (row[1] is Source.BASE and isinstance(row[2], of_base))]
         self._other_pending = deque((None, source, message) for _, source, message in kept)

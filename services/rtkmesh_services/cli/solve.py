@@ -77,7 +77,7 @@ class Request:
             negative="",
             show_default=False,
             help="Know nothing before the recordings tell it, as on the spot: the same solutions as a replay. Without it ephemerides and "
-            "base position of the first two minutes count from the first epoch on.",
+            "base position of the first two minutes count from the first epoch on, and base epochs are interpolated.",
         ),
     ] = False
     frequencies: Annotated[int | None, Parameter(help="Carrier bands used per satellite, 1 to 5. Default: 2.")] = None
@@ -102,6 +102,14 @@ class Request:
     ] = None
     base_llh: Annotated[
         str | None, Parameter(allow_leading_hyphen=True, help="The same as LAT,LON,H in degrees and metres above the ellipsoid.")
+    ] = None
+    interpolation: Annotated[
+        bool | None,
+        Parameter(
+            show_default=False,
+            help="Where no base epoch is of the rover's time, interpolate those on both sides of it (RTKLIB's misc-timeinterp), so that a "
+            "base every 5 to 30 s serves a faster rover. --no-interpolation: use the last one with its age. Default: on without --causal.",
+        ),
     ] = None
     date: Annotated[
         str | None,
@@ -230,6 +238,7 @@ def _solver_table(request: Request, told: "ConfOptions | None") -> tuple[SolverT
     table, folder = _configured(request.config) if request.config else (table, folder)
     content = msgspec.to_builtins(table) | {name: value for name, value in flags.items() if value is not None}
     content["ambiguity"] |= {"mode": request.ambiguity} if request.ambiguity is not None else {}
+    content["sync"]["interpolate"] = _interpolates(request, table)
     content |= {"rover": "rover", "base": "base", "navigation": [f"nav{k}" for k in range(len(request.nav))]}
     try:
         return msgspec.convert(content, SolverTable), folder
@@ -237,6 +246,12 @@ def _solver_table(request: Request, told: "ConfOptions | None") -> tuple[SolverT
         key = str(error).rpartition("`$.")[2].rstrip("`")
         flag, allowed = _FLAGS_OF_KEYS[key]
         raise SourceError(f"--{flag} {flags[key]}: allowed are {allowed}") from error
+
+
+def _interpolates(request: Request, table: SolverTable) -> bool:
+    """Return whether base epochs are interpolated: as a flag says, or the file; else where it may be known what comes."""
+    said = table.sync.interpolate if request.interpolation is None else request.interpolation
+    return not request.causal if said is None else said
 
 
 def _configured(path: Path) -> tuple[SolverTable, Path]:

@@ -64,7 +64,7 @@ def steps() -> Iterator[tuple[str, Callable[[], object]]]:
     """Yield what is to be run, with its name; what comes first is needed by what follows."""
     yield "imports", _import_engine
     from rtkmesh.rtk.options import Mode
-    from rtkmesh_services.solver.warming import simulated_messages, solve
+    from rtkmesh_services.solver.warming import simulated_messages, slowed, solve
 
     messages: dict[str, list[Message]] = {}
 
@@ -79,6 +79,7 @@ def steps() -> Iterator[tuple[str, Callable[[], object]]]:
     for mode in (mode for mode in Mode if mode is not Mode.FIXED):  # which needs a position and has no kernel of its own
         pair = ("heading", "rover") if mode is Mode.MOVING_BASE else ("rover", "base")
         yield f"mode {mode.value}", lambda mode=mode, pair=pair: run(mode, *pair)
+    yield "a slow base", lambda: solve(Mode.KINEMATIC, messages["rover"], slowed(messages["base"]))
     yield "what is rare", _warm_services
     yield "RTCM 3 legacy messages", _read_legacy
     yield "RINEX", _read_and_write_rinex

@@ -76,6 +76,7 @@ def import_conf(conf: ConfFile, name: str = "") -> Imported:
     if streams:
         import_outputs(draft, ingests)
         table = _with_inputs(draft, table, ingests)
+        _withdraw_interpolation(draft)
         _console(draft)
     else:
         _without_streams(draft)
@@ -105,6 +106,17 @@ def _with_inputs(draft: Draft, table: SolverTable, ingests: list[str]) -> Solver
         return msgspec.structs.replace(table, base="")
     draft.put(("solver", draft.solver_id, "mode"), "single", "inpstr2-type")
     return msgspec.structs.replace(table, base="", mode="single")
+
+
+def _withdraw_interpolation(draft: Draft) -> None:
+    """Take out what is possible in recordings alone, where an input is live or the base does not stand."""
+    solver: dict[str, Any] = draft.tables["solver"][draft.solver_id]
+    sync: dict[str, Any] = solver.get("sync", {})
+    recorded = all(table.get("source", "").startswith("file://") for table in draft.tables.get("ingest", {}).values())
+    if "interpolate" not in sync or (recorded and solver["mode"] not in ("single", "moving-base")):
+        return
+    del sync["interpolate"]
+    draft.note("misc-timeinterp", Fate.IGNORED, "", "of recordings with a base that stands: live no later base epoch is known", alters=True)
 
 
 def _missing(draft: Draft, name: str, table: SolverTable) -> None:

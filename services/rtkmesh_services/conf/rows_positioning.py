@@ -1,4 +1,4 @@
-"""The keys pos1-, pos2- and stats-: what the solver does. One row, one line: it is a table."""
+"""The keys pos1-, pos2- and stats-, and one of misc-: what the solver does. One row, one line: it is a table."""
 
 from typing import Final
 
@@ -96,5 +96,6 @@ ROWS: Final = (
     Row("stats-prntrop", _NUM, "0.0001", _I, "", "the zenith delay has its own"),
     Row("stats-prnpos", _NUM, "0", _I, "", _PPP),
     Row("stats-clkstab", _NUM, "5e-12", _I, "", "satellites' clocks are predicted by their own ephemerides"),
+    Row("misc-timeinterp", _ENUM, "off", _T, "solver.sync.interpolate", "of recordings: rtkmesh solve does so unless it is told --no-interpolation; live no later base epoch is known", None, c.SWITCH),
 )
 # fmt: on

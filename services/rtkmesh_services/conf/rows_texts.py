@@ -44,7 +44,6 @@ ROWS: Final = (
     *_ANTENNAS,
     Row("ant2-maxaveep", _INT, "1", _R, "ingest.base.base_station.minimum_s", "epochs of the average, taken for seconds; 0: as long as it runs", "0"),
     Row("ant2-initrst", _ENUM, "on", _I, "", "an average begins anew with every start", "off", c.SWITCH),
-    Row("misc-timeinterp", _ENUM, "off", _I, "", "a base epoch is waited for, or used with its age; nothing is interpolated", None, c.SWITCH),
     Row("misc-sbasatsel", _INT, "0", _I, "", "SBAS corrections are not read"),
     Row("misc-rnxopt1", _TEXT, "", _I, "", "options of RINEX files; those of logs are ingest options"),
     Row("misc-rnxopt2", _TEXT, "", _I, "", "options of RINEX files; those of logs are ingest options"),

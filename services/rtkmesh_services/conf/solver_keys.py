@@ -125,6 +125,10 @@ def _sync(table: SolverTable, dialect: Dialect) -> tuple[str, str]:
     return "on" if table.sync.matched_only else "off", "rtkrcv_ros waits for equal epochs, RTKLIB does nothing" * table.sync.matched_only
 
 
+def _interpolation(table: SolverTable, dialect: Dialect) -> tuple[str, str]:
+    return "on" if table.sync.interpolate else "off", ""
+
+
 def _said(value: str, comment: str = "") -> Writer:
     return lambda table, dialect: (value, comment)
 
@@ -170,4 +174,5 @@ _WRITERS: Final[dict[str, Writer]] = {
     "stats-prnaccelh": _of("dynamics.acceleration_horizontal_mps2"),
     "stats-prnaccelv": _of("dynamics.acceleration_vertical_mps2"),
     "stats-prnbias": _of("dynamics.ambiguity_cyc"),
+    "misc-timeinterp": _interpolation,
 }

@@ -153,6 +153,11 @@ def _sync(table: SolverTable, row: Row, text: str, dialect: Dialect) -> Change:
     return taken(row.why, sync__matched_only=value_of(row, text, dialect) == "on")
 
 
+def _interpolation(table: SolverTable, row: Row, text: str, dialect: Dialect) -> Change:
+    """RTKLIB's off is its default, and no wish of the file's author: rtkmesh solve has its own."""
+    return taken(row.why, sync__interpolate=True if value_of(row, text, dialect) == "on" else None)
+
+
 def _length(table: SolverTable, row: Row, text: str, dialect: Dialect) -> Change:
     value = number_of(row, text, dialect)
     return taken("" if value else "unknown length", baseline_length_m=value or None)
@@ -190,6 +195,7 @@ _SETTERS: Final[dict[str, Setter]] = {
     "pos1-soltype": _soltype,
     "pos1-dynamics": _dynamics,
     "pos2-syncsol": _sync,
+    "misc-timeinterp": _interpolation,
     "pos2-baselen": _length,
     "pos2-basesig": _length_sigma,
     "pos2-minfixsats": _least,

@@ -6,12 +6,14 @@ from rtkmesh_services.conf import rows_positioning, rows_streams, rows_texts
 from rtkmesh_services.conf.choices import Dialect
 from rtkmesh_services.conf.rows import Row
 
-_STATS: Final = tuple(row for row in rows_positioning.ROWS if row.name.startswith("stats-"))
-_POSITIONING: Final = tuple(row for row in rows_positioning.ROWS if not row.name.startswith("stats-"))
-_OUT: Final = tuple(row for row in rows_texts.ROWS if row.name.startswith("out-"))
-_REST: Final = tuple(row for row in rows_texts.ROWS if not row.name.startswith("out-"))
+
+def _beginning(*prefixes: str) -> tuple[Row, ...]:
+    return tuple(row for row in (*rows_positioning.ROWS, *rows_texts.ROWS) if row.name.startswith(prefixes))
+
+
 RECEIVER_ROWS: Final[tuple[Row, ...]] = rows_streams.ROWS
-SYSTEM_ROWS: Final[tuple[Row, ...]] = (*_POSITIONING, *_OUT, *_STATS, *_REST)
+_PARTS: Final = (("pos1-", "pos2-"), ("out-",), ("stats-",), ("ant",), ("misc-",), ("file-",))
+SYSTEM_ROWS: Final[tuple[Row, ...]] = tuple(row for prefixes in _PARTS for row in _beginning(*prefixes))
 ALL_ROWS: Final[dict[str, Row]] = {row.name: row for row in (*RECEIVER_ROWS, *SYSTEM_ROWS)}
 
 

@@ -47,13 +47,16 @@ def session_options(
     options = rtk_options(table)
     return SessionOptions(
         rtk=options,
-        pairing=pairing_for(options, replay=replay, maximum_wait_s=table.sync.max_wait_s, matched_only=table.sync.matched_only),
+        pairing=pairing_for(
+            options, replay=replay, maximum_wait_s=table.sync.max_wait_s, matched_only=table.sync.matched_only,
+            interpolate=table.sync.interpolate or False,
+        ),
         base_position_ecef_m=base_position_ecef_m,
         navigation_streams=len(navigation_only(table)),
         rover_antenna=table.rover_antenna,
         base_antenna=table.base_antenna,
         find_antenna=antenna_finder(folder / table.antex if table.antex else None),
-    )
+    )  # fmt: skip
 
 
 def navigation_only(table: SolverTable) -> tuple[str, ...]:

@@ -42,6 +42,7 @@ def check_deployment(reader: Faults, deployment: Deployment) -> None:
         for index, navigation in enumerate(solver.navigation):
             _check_reference(reader, "ingest", navigation, ("solver", id, "navigation", str(index)))
         _check_solver(reader, id, solver)
+        _check_interpolation(reader, id, solver, deployment.ingest)
     for id, table in deployment.attitude.items():  # noqa: A001
         _check_sources(reader, id, table)
         check_attitude(reader, id, table, deployment)
@@ -131,6 +132,15 @@ def _check_solver(reader: Faults, id: str, solver: SolverTable) -> None:  # noqa
     for index, name in enumerate(solver.excluded):
         if not _SATELLITE.fullmatch(name):
             reader.fault(("solver", id, "excluded", str(index)), f"[solver.{id}] excluded: {clip(name)!r} is no satellite such as G05")
+
+
+def _check_interpolation(reader: Faults, id: str, solver: SolverTable, ingests: Mapping[str, IngestTable]) -> None:  # noqa: A002
+    """Base epochs are interpolated where the later one is known, and where the base stands."""
+    live = [name for name in (solver.rover, solver.base, *solver.navigation) if name in ingests and not ingests[name].replay]
+    reason = f"[ingest.{live[0]}] is live, and the next base epoch is not known yet: of recordings alone" if live else ""
+    reason = "a moving base is not where it was" if solver.mode == "moving-base" else reason
+    if solver.sync.interpolate and reason:
+        reader.fault(("solver", id, "sync", "interpolate"), f"[solver.{id}.sync] interpolate: {reason}")
 
 
 def _check_output(reader: Faults, id: str, deployment: Deployment) -> None:  # noqa: A002

@@ -140,9 +140,9 @@ class InputStream:
             counters={**self.messages, **({"of_another_process": self.strangers} if self.strangers else {})},
         )
 
-    def wanted(self, pending: GpsTime | None, wait_s: float) -> Time | None:
-        """Return the time up to which this stream is needed for a rover epoch that waits."""
-        return wire_time(pending + (wait_s + 1.0)) if pending is not None and self.source is Source.BASE else None
+    def wanted(self, pending: GpsTime | None, reach_s: float) -> Time | None:
+        """Return the time up to which this stream is needed for a rover epoch that waits for base epochs up to ``reach_s`` later."""
+        return wire_time(pending + (reach_s + 1.0)) if pending is not None and self.source is Source.BASE else None
 
     def _after_restart(self, epoch: Epoch, start_id: str) -> Epoch:
         """Return the epoch, all slips if it is the first one of a restarted ingest: nobody watched the phases meanwhile."""

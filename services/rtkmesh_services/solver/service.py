@@ -316,7 +316,7 @@ class SolverService(Service):
                     consumer_start_id=self.context.start_id,
                     sequence=taken,
                     ingest_start_id=stream.sequencer.start_id,
-                    wanted=stream.wanted(pending, self.settings.active.sync.max_wait_s),
+                    wanted=stream.wanted(pending, self.session.options.pairing.reach_s),
                 )
                 self.context.bus.publish_as(name, CREDIT, credit)
 

@@ -45,10 +45,16 @@ def in_parts(messages: list[Message]) -> list[Message]:
     return [next(parts) if isinstance(message, Epoch) else message for message in messages]
 
 
+def slowed(messages: list[Message]) -> list[Message]:
+    """Return the messages of a base that is interpolated: of its epochs the first and the last alone."""
+    times = [message.time for message in messages if isinstance(message, Epoch)]
+    return [message for message in messages if not isinstance(message, Epoch) or message.time in (times[0], times[-1])]
+
+
 def solve(mode: Mode, rover: list[Message], base: list[Message]) -> int:
-    """Run the streams through a session; return the number of solutions."""
+    """Run the streams through a session, a slow base interpolated; return the number of solutions."""
     options = RtkOptions(mode=mode)
-    session = Session(SessionOptions(options, pairing_for(options, replay=True)))
+    session = Session(SessionOptions(options, pairing_for(options, replay=True, interpolate=True)))
     for source, messages in ((Source.BASE, base), (Source.ROVER, rover)):
         for message in messages:
             session.feed(source, message)
