@@ -1,5 +1,6 @@
 """Compiling, or loading from the cache, of the engine's kernels: by solving a few simulated epochs."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import islice
 
@@ -59,6 +60,9 @@ def solve(mode: Mode, rover: list[Message], base: list[Message]) -> int:
         for message in messages:
             session.feed(source, message)
         session.feed(source, EndOfStream())
-    solutions = sum(1 for _ in session.solutions())
+    solutions = list(session.solutions())
     session.engine.candidates()
-    return solutions
+    if mode is Mode.KINEMATIC and solutions:  # what an operator may do: the rover stands where it is told
+        x, y, z = solutions[-1].position_ecef_m.tolist()
+        session.engine.go_on(replace(options, mode=Mode.FIXED, fixed_position_ecef_m=(x, y, z)))
+    return len(solutions)
