@@ -28,6 +28,7 @@ from rtkmesh.models.geometry import GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHER
 from rtkmesh.models.orbit import LONGEST_RANGE_M, SHORTEST_RANGE_M, STATE, STATE_CLOCK, satellite_states
 from rtkmesh.rtk.matching import runs
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS
+from rtkmesh.rtk.ordered import sort_finite
 from rtkmesh.rtk.residuals import undifferenced, wavelengths
 from rtkmesh.rtk.slips import lost_lock
 
@@ -239,15 +240,7 @@ def _put_back(
 
 @kernel_in_place
 def median_of(values: Vector) -> float:
-    """Return the median of the finite values, NaN without one; by insertion, for they are few."""
-    kept, n = scratch(len(values)), 0
-    for k in range(len(values)):
-        if not isfinite(values[k]):
-            continue
-        place = n
-        while place > 0 and kept[place - 1] > values[k]:
-            kept[place] = kept[place - 1]
-            place -= 1
-        kept[place] = values[k]
-        n += 1
+    """Return the median of the finite values, NaN without one."""
+    kept = scratch(len(values))
+    n = sort_finite(values, kept)
     return np.nan if n == 0 else 0.5 * (kept[n // 2] + kept[(n - 1) // 2])

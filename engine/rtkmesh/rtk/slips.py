@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratch_indices
 from rtkmesh.rtk.matching import distinct
+from rtkmesh.rtk.ordered import sort_finite
 from rtkmesh.rtk.residuals import BASE_PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.state import (
     AWAY_BASE,
@@ -266,15 +267,12 @@ def _elect(satellite: NDArray[np.int16], change_m: Vector, doubt: Indices, movin
             votes[k] = sure[k] if only_sure else unshown[k]
 
 
-@kernel
+@kernel_in_place
 def _median(values: Vector) -> float:
     """Return the (lower) median of the finite values, 0 if there are none."""
-    kept, n = scratch(len(values)), 0
-    for k in range(len(values)):
-        if isfinite(values[k]):
-            kept[n] = values[k]
-            n += 1
-    return float(np.sort(kept[:n])[(n - 1) // 2]) if n > 0 else 0.0
+    kept = scratch(len(values))
+    n = sort_finite(values, kept)
+    return kept[(n - 1) // 2] if n > 0 else 0.0
 
 
 # --- verdicts ---

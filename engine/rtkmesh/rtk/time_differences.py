@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
+from rtkmesh.rtk.ordered import sort_finite
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -351,18 +352,11 @@ def unit_variance_m2(fit: Vector) -> float:
 
 @kernel_in_place
 def _median(values: Vector, weight: Vector) -> float:
-    """Return the median of the values that have a weight (0 if there are none); insertion sort, for they are few."""
-    kept = scratch(len(values))
-    n = 0
+    """Return the median of the values that have a weight (0 if there are none)."""
+    voting, kept = scratch(len(values)), scratch(len(values))
     for k in range(len(values)):
-        if not weight[k] > 0.0:
-            continue
-        place = n
-        while place > 0 and kept[place - 1] > values[k]:
-            kept[place] = kept[place - 1]
-            place -= 1
-        kept[place] = values[k]
-        n += 1
+        voting[k] = values[k] if weight[k] > 0.0 else np.nan
+    n = sort_finite(voting, kept)
     if n == 0:
         return 0.0
     return kept[n // 2] if n % 2 == 1 else 0.5 * (kept[n // 2 - 1] + kept[n // 2])
