@@ -3,6 +3,7 @@
 from typing import Final
 
 SPEED_OF_LIGHT_MPS: Final = 299792458.0  # IS-GPS-200N 20.3.4.3
+GPS_L1_HZ: Final = 1575.42e6  # IS-GPS-200N 3.3.1.1
 PI_GPS: Final = 3.1415926535898  # IS-GPS-200N 20.3.3.4.3.3
 
 MU_GPS_M3_S2: Final = 3.9860050e14  # IS-GPS-200N table 20-IV

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel_in_place, scratch
-from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
+from rtkmesh.gnss.constants import GPS_L1_HZ, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.signals import ATTRIBUTES, BEIDOU, GLONASS, NO_CHANNEL, SATELLITES_PER_SYSTEM, carrier_hz
 from rtkmesh.models.ephemeris_table import CHANNEL
 from rtkmesh.models.orbit import group_delay_m
@@ -24,7 +24,6 @@ WORK: Final = 12
 CLOCK_OF_SYSTEM: Final = np.array([0, 1, 2, 3, 0, 0, 4])
 CLOCKS: Final = 5
 
-_L1_HZ = 1575.42e6
 _CHANNEL_BIAS_M2 = 4.0**2  # FDMA: a receiver's code delay differs from channel to channel by metres (seen: 2 to 5 m)
 _CN0_M2 = 3160.0  # code variance (m2) = this * 10^(-C/N0 / 10): 1 m at 35 dB-Hz, 0.3 m at 45 dB-Hz
 # Order of preference of attributes: open data and combined channels, whose group delays the clock's reference is nearest to, first.
@@ -97,7 +96,7 @@ def fill_work(rows: Matrix, satellite: NDArray[np.int16], signal: NDArray[np.int
         band_hz = carrier_hz(number, code, own)
         work[i, GROUP] = CLOCK_OF_SYSTEM[number // SATELLITES_PER_SYSTEM]
         work[i, CODE] = pseudorange_m[first] - group_delay_m(rows[i], code)
-        work[i, IONOSPHERE] = (_L1_HZ / band_hz) ** 2 if band_hz > 0.0 else 1.0
+        work[i, IONOSPHERE] = (GPS_L1_HZ / band_hz) ** 2 if band_hz > 0.0 else 1.0
         work[i, NOISE], work[i, GAIN] = _noise_m2(float(cn0_dbhz[first]), float(sigma_m[first])), 1.0
         if free_of_ionosphere and second >= 0:
             other = int(signal[second])

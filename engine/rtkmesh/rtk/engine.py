@@ -314,12 +314,13 @@ class Rtk:
 
     def _followed(self, around: Around, solved: Solved, circumstances: Circumstances) -> Moved:
         """Return the motion with the velocity that walks and Dopplers say; of a moving base its Dopplers are among these."""
-        single, motion = around.singles[0], None
-        told = Told(self._past.walk, single.velocity_mps, single.velocity_cov_m2ps2, self._rates[0].factor)
-        if self._base_moves or not self._moves or self._is_instantaneous:
-            motion = motion_of(single, solved.x, solved.P, circumstances)
-            if not self._moves or self._is_instantaneous:
-                return motion
+        single = around.singles[0]
+        if not self._moves or self._is_instantaneous:
+            return motion_of(single, solved.x, solved.P, circumstances)
+        motion = motion_of(single, solved.x, solved.P, circumstances) if self._base_moves else None
+        if motion is None:
+            told = Told(self._past.walk, single.velocity_mps, single.velocity_cov_m2ps2, self._rates[0].factor)
+        else:
             told = Told(self._past.walk, motion.velocity_mps, np.ascontiguousarray(motion.velocity_cov_m2ps2))
         followed = self._pace.follow(around.rover.time, single.clock_s, told, self._motion.horizontal_mps2, self._sense)
         if followed is None:

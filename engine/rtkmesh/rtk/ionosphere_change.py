@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
+from rtkmesh.gnss.constants import GPS_L1_HZ
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SIGNALS_PER_SATELLITE, carrier_hz
 from rtkmesh.models.geometry import GEOMETRY, IONOSPHERE_L1_M, receiver_geometry
 from rtkmesh.models.single import Located
@@ -17,8 +18,6 @@ from rtkmesh.rtk.state import BASE_M, ROVER_M, Filter
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-
-_L1_HZ = 1575.42e6
 
 
 @kernel
@@ -39,8 +38,8 @@ def change_ionosphere(
             continue
         hz = carrier_hz(satellite, int(f.keys[row]) // SIGNALS_PER_SATELLITE % SIGNALS_PER_SATELLITE, int(channel[satellite]))
         if hz > 0.0 and isfinite(rover_m[place]) and isfinite(base_m[place]):
-            f.history[row, ROVER_M] += rover_m[place] * (_L1_HZ / hz) ** 2
-            f.history[row, BASE_M] += base_m[place] * (_L1_HZ / hz) ** 2
+            f.history[row, ROVER_M] += rover_m[place] * (GPS_L1_HZ / hz) ** 2
+            f.history[row, BASE_M] += base_m[place] * (GPS_L1_HZ / hz) ** 2
 
 
 @kernel

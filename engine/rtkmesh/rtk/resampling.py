@@ -17,19 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
-from rtkmesh.gnss.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
+from rtkmesh.gnss.constants import SECONDS_PER_WEEK
 from rtkmesh.gnss.ephemeris import KlobucharParameters
 from rtkmesh.gnss.epoch import SLIP, Epoch, Signals
 from rtkmesh.gnss.signals import GLONASS, system_of
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.ephemeris_table import ROW, Issues, select_issues
-from rtkmesh.models.geometry import GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_geometry, receiver_model
-from rtkmesh.models.orbit import LONGEST_RANGE_M, SHORTEST_RANGE_M, STATE, STATE_CLOCK, satellite_states
+from rtkmesh.models.geometry import GEOMETRY, receiver_geometry, receiver_model
+from rtkmesh.models.orbit import LONGEST_RANGE_M, SHORTEST_RANGE_M, STATE, satellite_states
 from rtkmesh.rtk.matching import runs
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS
 from rtkmesh.rtk.ordered import sort_finite
-from rtkmesh.rtk.residuals import undifferenced, wavelengths
+from rtkmesh.rtk.residuals import ionosphere_m, undifferenced, wavelengths, without_ionosphere_m
 from rtkmesh.rtk.slips import lost_lock
 
 Vector = NDArray[np.float64]
@@ -46,7 +46,6 @@ _LEAST_PHASES: Final = 4  # so many at least, and more than half of them, must a
 _BRIDGE_M: Final = 1.2e-3
 _BRIDGE_GLONASS_M: Final = 4e-3
 _ITERATIONS: Final = 3  # an instant of transmission that is off by 1 ms moves the model by 1 m, that by 10 nm
-_L1_HZ: Final = 1575.42e6
 
 
 class Way(NamedTuple):
@@ -228,9 +227,7 @@ def _put_back(
         receiver_geometry(states, week, tow_s, way.base_ecef_m, way.klobuchar, geometry)
         for k in range(len(index)):
             s = index[k]
-            scale = wavelength_m[k] * _L1_HZ / SPEED_OF_LIGHT_MPS
-            delay_m = geometry[s, IONOSPHERE_L1_M] * scale * scale
-            model_m = geometry[s, RANGE] - SPEED_OF_LIGHT_MPS * states[s, STATE_CLOCK] + geometry[s, TROPOSPHERE_M]
+            model_m, delay_m = without_ionosphere_m(states, geometry, s), ionosphere_m(geometry, s, wavelength_m[k])
             codes_m[k] = model_m + delay_m + residual_m[k, 0]
             phases_cyc[k] = (model_m - delay_m + residual_m[k, 1]) / wavelength_m[k]
         for k in range(len(index)):

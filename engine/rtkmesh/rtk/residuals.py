@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
-from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
+from rtkmesh.gnss.constants import GPS_L1_HZ, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Signals
 from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, band_of, carrier_hz, system_of
 from rtkmesh.models.antenna import antenna_correction_m, carrier_place, pattern_of
@@ -38,7 +38,6 @@ WORDS: Final = 3
 # Places in the vector of noise parameters.
 PHASE_A, PHASE_B, CODE_RATIO, COMMON_VARIANCE = range(4)
 
-_L1_HZ = 1575.42e6
 _MOST_CYCLES = 1e12  # a phase that a receiver has counted for months; more is damage
 _C = SPEED_OF_LIGHT_MPS
 
@@ -83,15 +82,26 @@ def undifferenced(
         out[k, 0], out[k, 1] = np.nan, np.nan
         if states[s, STATE_OK] == 0.0:
             continue
-        model = geometry[s, RANGE] - _C * states[s, STATE_CLOCK] + geometry[s, TROPOSPHERE_M]
-        scale = wavelength_m[k] * _L1_HZ / _C
-        delay = geometry[s, IONOSPHERE_L1_M] * scale * scale
+        model, delay = without_ionosphere_m(states, geometry, s), ionosphere_m(geometry, s, wavelength_m[k])
         if not isfinite(delay):
             continue
         if SHORTEST_RANGE_M < pseudorange_m[row] < LONGEST_RANGE_M:
             out[k, 0] = pseudorange_m[row] - model - delay
         if flags[row] & HALF_CYCLE == 0 and abs(phase_cyc[row]) < _MOST_CYCLES:
             out[k, 1] = phase_cyc[row] * wavelength_m[k] - model + delay
+
+
+@kernel_in_place
+def without_ionosphere_m(states: Matrix, geometry: Matrix, s: int) -> float:
+    """Return what a signal of satellite ``s`` should measure (m), but for the ionosphere and the receiver's clock."""
+    return geometry[s, RANGE] - _C * states[s, STATE_CLOCK] + geometry[s, TROPOSPHERE_M]
+
+
+@kernel_in_place
+def ionosphere_m(geometry: Matrix, s: int, wavelength_m: float) -> float:
+    """Return the model's delay of a code on this wavelength (m) by the ionosphere; phases are early by it."""
+    scale = wavelength_m * GPS_L1_HZ / _C
+    return geometry[s, IONOSPHERE_L1_M] * scale * scale
 
 
 @kernel_in_place
@@ -133,7 +143,7 @@ def single_differences(
             elevation = -1.0
         rover_cn0_dbhz, base_cn0_dbhz = rover_words[k, WORD_CN0], base_words[k, WORD_CN0]
         cn0 = min(rover_cn0_dbhz, base_cn0_dbhz) if base_cn0_dbhz > 0.0 else rover_cn0_dbhz
-        scale = wavelength_m[k] * _L1_HZ / _C
+        scale = wavelength_m[k] * GPS_L1_HZ / _C
         out[k, WAVELENGTH], out[k, IONOSPHERE] = wavelength_m[k], scale * scale
         out[k, ROVER_PHASE], out[k, BASE_PHASE] = rover[k, 1], base[k, 1]
         out[k, CN0], out[k, ELEVATION_RAD], out[k, CHANNEL] = cn0, elevation, channels[k]

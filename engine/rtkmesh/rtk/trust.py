@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh._jit import kernel, kernel_in_place, scratch_flags
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, log_odds
 from rtkmesh.rtk.ambiguity import (
@@ -56,14 +56,17 @@ def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vect
     """Trust GLONASS integers once what is held has determined them, and has not been contradicted by both together, for some epochs;
     remember the slopes.
     """
-    glonass = take(everything, everything.satellite // SATELLITES_PER_SYSTEM == GLONASS)
+    own, count = scratch_flags(len(everything.satellite)), 0
+    for k in range(len(own)):
+        own[k] = everything.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS
+        count += 1 if own[k] else 0
     states = slope_states(f)
-    if len(glonass.row) < 3 or len(states) == 0:
+    if count < 3 or len(states) == 0:
         return
     if memory[TRUSTS_GLONASS] > 0.0:
         learn_slopes(f, held, memory)
         return
-    slopes_m, odds = found_slopes(f, pairs_of(glonass), states, held)
+    slopes_m, odds = found_slopes(f, pairs_of(take(everything, own)), states, held)
     if odds < setup.confidence * ACCEPT_AT_ONCE or _contradicted(f, everything, setup):
         memory[GLONASS_VOTES] = 0.0
         return

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.gnss.constants import OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
+from rtkmesh.gnss.constants import GPS_L1_HZ, OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.geometry import E_X, E_Y, E_Z, ELEVATION, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, line_of_sight, receiver_geometry
@@ -33,7 +33,6 @@ PSEUDORANGE, PHASE, DOPPLER, CN0, LOCK, CODE_SIGMA, PHASE_SIGMA = range(7)
 VALUES: Final = 7
 
 _C = SPEED_OF_LIGHT_MPS
-_L1_HZ = 1575.42e6
 _OMEGA = OMEGA_EARTH_GPS_RADPS
 _REFERENCE_CN0 = 45.0  # dB-Hz at which the sigmas of the options hold
 _WARM_LOCK_S = 60.0
@@ -232,7 +231,7 @@ def measure(
             slope_m = options.glonass_slopes_m[j] * channels[i] if system == GLONASS else 0.0
             common_m = geometry[i, RANGE] + _C * (clock_s - states[i, STATE_CLOCK]) + geometry[i, TROPOSPHERE_M] + slope_m
             common_m += view[i, EXTRA_M]
-            ionosphere_m = geometry[i, IONOSPHERE_L1_M] * (_L1_HZ / carriers_hz[i, j]) ** 2
+            ionosphere_m = geometry[i, IONOSPHERE_L1_M] * (GPS_L1_HZ / carriers_hz[i, j]) ** 2
             values[CN0, count] = _cn0_dbhz(geometry[i, ELEVATION], j, state[FADING], options) + 0.4 * normals[i, j, 3]
             values[CN0, count] -= view[i, ATTENUATION_DB]
             noise = 10.0 ** ((_REFERENCE_CN0 - values[CN0, count]) / 20.0)
