@@ -16,10 +16,10 @@ from rtkmesh.rtk.calm import calmed, is_atmospheric
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
-from rtkmesh.rtk.state import DYNAMIC, HISTORY, SLOPE_KEYS, ZENITH_KEY, Filter
+from rtkmesh.rtk.state import DYNAMIC, EXCESS_KEY, HISTORY, SLOPE_KEYS, ZENITH_KEY, Filter
 
-KEYS = np.array([ZENITH_KEY, 3, 7, SLOPE_KEYS[0], 3 * KEYS_PER_SATELLITE + 1, 7 * KEYS_PER_SATELLITE + 1], np.int64)
-ATMOSPHERE = np.array([DYNAMIC, DYNAMIC + 1, DYNAMIC + 2])
+KEYS = np.array([ZENITH_KEY, 3, 7, EXCESS_KEY, SLOPE_KEYS[0], 3 * KEYS_PER_SATELLITE + 1, 7 * KEYS_PER_SATELLITE + 1], np.int64)
+ATMOSPHERE = DYNAMIC + np.arange(4)
 BASE_ECEF_M = np.array([-3959400.631, 3385704.533, 3667523.111])
 L2_M = 299792458.0 / 1227.6e6
 
@@ -31,24 +31,24 @@ def a_filter(seed: int) -> Filter:
     return Filter(scale * rng.normal(size=n), np.outer(scale, scale) * (A @ A.T + 0.1 * np.eye(n)), KEYS, np.zeros((len(KEYS), HISTORY)))
 
 
-@given(st.integers(0, 999))
-def test_it_is_the_filter_given_no_atmosphere(seed: int) -> None:
+@given(st.integers(0, 999), st.floats(-1.0, 1.0))
+def test_it_is_the_filter_given_no_atmosphere(seed: int, excess: float) -> None:
     """Mean and covariance of all else are those of the normal distribution under that condition; the slope of GLONASS is none of it."""
-    f = a_filter(seed)
+    f, known = a_filter(seed), np.array([0.0, 0.0, 0.0, excess])
     others = np.setdiff1d(np.arange(len(f.x)), ATMOSPHERE)
     gain = f.P[np.ix_(others, ATMOSPHERE)] @ np.linalg.inv(f.P[np.ix_(ATMOSPHERE, ATMOSPHERE)])
-    calm = calmed(f)
-    assert calm.x[others] == pytest.approx(f.x[others] - gain @ f.x[ATMOSPHERE], abs=1e-9)
+    calm = calmed(f, excess)
+    assert calm.x[others] == pytest.approx(f.x[others] - gain @ (f.x[ATMOSPHERE] - known), abs=1e-9)
     expected = f.P[np.ix_(others, others)] - gain @ f.P[np.ix_(ATMOSPHERE, others)]
     assert calm.P[np.ix_(others, others)] == pytest.approx(expected, abs=1e-9)
-    assert calm.x[ATMOSPHERE] == pytest.approx(np.zeros(3), abs=1e-12)
+    assert calm.x[ATMOSPHERE] == pytest.approx(known, abs=1e-12)
 
 
 def test_a_filter_without_atmosphere_stays() -> None:
     f = a_filter(5)
-    kept = np.concatenate((np.arange(DYNAMIC), DYNAMIC + np.array([3, 4, 5])))
-    plain = Filter(f.x[kept], f.P[np.ix_(kept, kept)].copy(), KEYS[3:], f.history[3:])
-    calm = calmed(plain)
+    kept = np.concatenate((np.arange(DYNAMIC), DYNAMIC + np.array([4, 5, 6])))
+    plain = Filter(f.x[kept], f.P[np.ix_(kept, kept)].copy(), KEYS[4:], f.history[4:])
+    calm = calmed(plain, 0.3)
     assert calm.x == pytest.approx(plain.x, abs=1e-12)
     assert np.allclose(calm.P, plain.P, atol=1e-9)
 

@@ -58,7 +58,7 @@ TRUE_M = 0.021, 0.0165
 CHANNELS = np.array([-7, -4, -1, 2, 3, 5, 6])
 BASELINE_M = np.array([12.0, -7.0, 3.0])
 UNKNOWN = (0.0, SLOPE_SIGMA_M)
-WALKS = Walks(0.0, 3600.0, 0.02, 0.0, 0.02, 1e-6, (UNKNOWN, UNKNOWN))
+WALKS = Walks(0.0, 3600.0, 0.02, 0.0, 0.02, 0.5, 1e-6, (UNKNOWN, UNKNOWN))
 
 
 def epoch(bands=(1, 2), order=None):
@@ -98,7 +98,7 @@ def solved(d, integers):
     begin_shared(f, WALKS, 0.0, ionosphere)
     begin_ambiguities(f.x, f.P, f.history, ambiguity, d.pairs.satellite, d.table, DYNAMIC, 0.0)
     one = np.ones(len(integers))
-    layout = Layout(ambiguity, ionosphere, slope, -1, one, one)
+    layout = Layout(ambiguity, ionosphere, slope, -1, -1, one, one)
     nothing = np.full(3, np.nan)
     outcome = update(f, d, layout, new_code_scale(), nothing, np.full((3, 3), np.nan))
     assert outcome.ok

@@ -24,6 +24,7 @@ from rtkmesh.rtk.state import (
     BASE_M,
     BASE_S,
     DYNAMIC,
+    EXCESS_KEY,
     FIRST_PAIR_KEY,
     HALF_CYC,
     INTEGER,
@@ -58,7 +59,8 @@ _KNOWN_SLIP_VARIANCE_CYC2: Final = 0.2**2
 class Walks(NamedTuple):
     """Random walks of the keyed states and how new shared ones begin (all in their units, walks per square root of second).
 
-    An ionosphere does not walk away: within ``ionosphere_s`` it goes back to nothing, as far as its usual size ``ionosphere_sigma_m``.
+    An ionosphere does not walk away: within ``ionosphere_s`` it goes back to nothing, as far as its usual size ``ionosphere_sigma_m``; so
+    does the part by which all exceed their model (``excess_sigma``).
     ``slopes`` are value and sigma of new GLONASS slopes on G1 and G2.
     """
 
@@ -67,6 +69,7 @@ class Walks(NamedTuple):
     ionosphere_sigma_m: float
     zenith_m: float
     zenith_sigma_m: float
+    excess_sigma: float
     slope_m: float
     slopes: Slopes
 
@@ -135,7 +138,7 @@ def grow(P: Matrix, keys: Indices, dynamic: int, walks: Walks, dt_s: float) -> N
             walk = walks.ambiguity_cyc
         elif keys[k] == ZENITH_KEY:
             walk = walks.zenith_m
-        elif not is_ionosphere(keys[k]):
+        elif keys[k] > EXCESS_KEY:
             walk = walks.slope_m
         P[dynamic + k, dynamic + k] += walk * walk * dt_s
 
@@ -149,7 +152,7 @@ def relax(f: Filter, memory_s: float, dt_s: float) -> None:
     for k in range(len(f.keys)):
         if f.keys[k] >= FIRST_PAIR_KEY:
             return
-        if not is_ionosphere(f.keys[k]):
+        if not ZENITH_KEY < f.keys[k] <= EXCESS_KEY:
             continue
         i = DYNAMIC + k
         f.x[i] *= keep
@@ -165,15 +168,17 @@ def wanted_keys(pair_key: Indices, satellite: NDArray[np.int16], table: Matrix, 
     """Return the sorted keys of the states that these pairs need.
 
     They are an ambiguity per phase (if ``phases``), the GLONASS slope of each band where channels differ, the zenith delay where
-    ``atmosphere`` is 1, and with 2 an ionosphere per satellite with a code too.
+    ``atmosphere`` is 1, with 2 an ionosphere per satellite with a code too, and with 3 what all exceed their model by.
     """
     n = len(pair_key)
-    keys, count = scratch_indices(2 * n + 3), 0
+    keys, count = scratch_indices(2 * n + 4), 0
     sloped = 0
     if atmosphere > 0:
         count = _insert(keys, count, ZENITH_KEY)
+    if atmosphere == 3:
+        count = _insert(keys, count, EXCESS_KEY)
     for k in range(n):
-        if atmosphere == 2 and isfinite(table[k, CODE]):
+        if atmosphere >= 2 and isfinite(table[k, CODE]):
             count = _insert(keys, count, int(satellite[k]))
         if phases and isfinite(table[k, PHASE]):
             count = _insert(keys, count, pair_key[k])
@@ -360,7 +365,7 @@ def lay_out(
     """Give every pair its states; deal with slips; begin new states.
 
     ``code_since_s`` is how long ago each code was seen; ``times_s`` and ``expected`` are those of ``find_slips``; ``atmosphere`` 0: none,
-    1: the zenith delay is a state, 2: the ionosphere per satellite too.
+    1: the zenith delay is a state, 2: the ionosphere per satellite too, 3: and what all exceed their model by.
     """
     n, dt = len(d.pairs.satellite), times_s[0] - times_s[2]
     known_step = isfinite(dt)
@@ -368,7 +373,7 @@ def lay_out(
     f = use_keys(before, wanted, times_s[0], max(slips.maximum_gap_s, 2.5 * dt if known_step else 0.0))
     places = np.empty((3, n), np.int64)
     ambiguity, ionosphere, slope = places[0], places[1], places[2]
-    find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere == 2, ambiguity, ionosphere, slope)
+    find_places(f.keys, d.pairs.key, d.pairs.satellite, d.table, phases, atmosphere >= 2, ambiguity, ionosphere, slope)
     begin_shared(f, walks, times_s[0], ionosphere)
     verdicts = Verdicts(scratch_indices(n), scratch(n))
     tested = find_slips(d, f.history, ambiguity, times_s, slips, expected, verdicts)
@@ -378,7 +383,8 @@ def lay_out(
     inflation = inflations(f.history, ambiguity, code_since_s)
     # Between antennas that move together lengths and shapes choose integers by the baseline that these give: it must not look less sure.
     by_phase = np.ones(n) if slips.base_moves else phase_inflations(f.history, ambiguity, times_s[0])
-    layout = Layout(ambiguity, ionosphere, slope, place_of(f.keys, ZENITH_KEY), inflation, by_phase)
+    excess = place_of(f.keys, EXCESS_KEY) if atmosphere == 3 else -1
+    layout = Layout(ambiguity, ionosphere, slope, place_of(f.keys, ZENITH_KEY), excess, inflation, by_phase)
     return Arranged(f, layout, tested.redundancy, tested.rover.step_m, tested.rover.cov_m2, tested.rover.fit)
 
 
@@ -399,6 +405,9 @@ def begin_shared(f: Filter, walks: Walks, time_s: float, ionosphere: Indices) ->
             continue
         if f.keys[i] == ZENITH_KEY:
             reset_state(f.x, f.P, DYNAMIC + i, 0.0, walks.zenith_sigma_m**2)
+        elif f.keys[i] == EXCESS_KEY:
+            f.history[i, USUAL_M] = walks.excess_sigma
+            reset_state(f.x, f.P, DYNAMIC + i, 0.0, walks.excess_sigma**2)
         elif is_ionosphere(f.keys[i]):
             reset_state(f.x, f.P, DYNAMIC + i, 0.0, walks.ionosphere_sigma_m**2)
         else:

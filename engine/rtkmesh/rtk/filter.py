@@ -1,10 +1,10 @@
 """The filter of single differences: time update, measurement update, bookkeeping of its states.
 
 State: baseline (m, ECEF), velocity and acceleration, then one state per *key*, in rising order of keys: 0 the zenith wet delay (m), a
-satellite number its slant ionosphere at L1 (m), two behind these the slopes of GLONASS phase biases over the channels on G1 and G2 (m), a
-pair's key its single-difference ambiguity (cycles). The receiver clock of each group (system, signal pair; code and phase apart) is free
-in every epoch and is eliminated from the normal equations, so there is no reference satellite, and the common part of a group's
-ambiguities is simply not known.
+satellite number its slant ionosphere at L1 (m), behind these the part by which all ionospheres exceed their model, then the slopes of
+GLONASS phase biases over the channels on G1 and G2 (m), a pair's key its single-difference ambiguity (cycles). The receiver clock of each
+group (system, signal pair; code and phase apart) is free in every epoch and is eliminated from the normal equations, so there is no
+reference satellite, and the common part of a group's ambiguities is simply not known.
 
 Measurement update: with P = U'U the posterior is U' (I + U N U')^-1 U, formed from triangular factors: symmetric and
 positive definite by construction. All matrices are row-major and all inner loops run along rows.
@@ -27,13 +27,14 @@ OK: Final = 0
 NOT_POSITIVE_DEFINITE: Final = 1
 
 # Columns of an observation. Y (m) is observed minus predicted; W is the inverse variance (1/m2, 0: not used); H_X to H_Z, H_ZENITH,
-# H_IONOSPHERE, H_AMBIGUITY and H_SLOPE are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere, the
-# ambiguity and the GLONASS slope.
-Y, W, H_X, H_Y, H_Z, H_ZENITH, H_IONOSPHERE, H_AMBIGUITY, H_SLOPE = range(9)
-OBSERVATION: Final = 9
-# Columns of its places: clock group, then where the states of these four are (-1: none).
-GROUP, AT_ZENITH, AT_IONOSPHERE, AT_AMBIGUITY, AT_SLOPE = range(5)
-PLACES: Final = 5
+# H_IONOSPHERE, H_AMBIGUITY, H_SLOPE and H_EXCESS are the partial derivatives by the baseline, the zenith wet delay, the slant ionosphere,
+# the ambiguity, the GLONASS slope and the excess of the ionosphere.
+Y, W, H_X, H_Y, H_Z, H_ZENITH, H_IONOSPHERE, H_AMBIGUITY, H_SLOPE, H_EXCESS = range(10)
+OBSERVATION: Final = 10
+# Columns of its places: clock group, then where the states of these five are (-1: none).
+GROUP, AT_ZENITH, AT_IONOSPHERE, AT_AMBIGUITY, AT_SLOPE, AT_EXCESS = range(6)
+PLACES: Final = 6
+SHARED: Final = 5  # states of an observation beside the position
 
 _ZERO: Final = cast("int", np.int64(0))  # a literal as argument makes numba compile the callee once more
 
@@ -162,7 +163,7 @@ def _entries(row: Vector, places: Indices, dynamic: int, at: Indices, h: Vector)
     for k in range(3):
         at[k], h[k] = k, row[H_X + k]
     count = 3
-    for k in range(4):
+    for k in range(SHARED):
         if places[AT_ZENITH + k] >= 0:
             at[count], h[count] = dynamic + places[AT_ZENITH + k], row[H_ZENITH + k]
             count += 1
@@ -179,7 +180,7 @@ def normal_equations(observations: Matrix, places: Indices, dynamic: int, groups
     N[:, :] = 0.0
     b[:] = 0.0
     mean[:, :] = 0.0
-    at, h = scratch_indices(7), scratch(7)
+    at, h = scratch_indices(3 + SHARED), scratch(3 + SHARED)
     for k in range(observations.shape[0]):
         w, y, g = observations[k, W], observations[k, Y], places[k, GROUP]
         if not w > 0.0:
@@ -355,7 +356,7 @@ def residuals(
                     Pm[g, i] += f * P[j, i]
         for j in range(n):
             mPm[g] += mean[g, j] * Pm[g, j]
-    at, h = scratch_indices(7), scratch(7)
+    at, h = scratch_indices(3 + SHARED), scratch(3 + SHARED)
     for k in range(observations.shape[0]):
         g, w = places[k, GROUP], observations[k, W]
         value[k], variance[k] = np.nan, np.nan

@@ -45,6 +45,7 @@ TIDE_BASELINE_M: Final = 20e3  # nearer, both ends move alike to a millimetre (9
 # 0.7, 0.8 and 1 ppm: 99, 100, 100, 83 and 56 %; of simulated 35 km runs (0.2 to 1.4 ppm) at 0.5 and 0.7: 57 and 59.
 _IONOSPHERE_SIGMA_PPM: Final = 0.6e-6
 _INFORMED_SIGMA_PPM: Final = 1.0e-6
+_EXCESS_SIGMA: Final = 0.5  # Klobuchar's model leaves half of an ionosphere (IS-GPS-200, 20.3.3.5.2.5)
 _IONOSPHERE_MEMORY_S: Final = 3600.0  # the time in which a satellite's ray comes to other parts of it
 _ZENITH_WALK_M: Final = 5e-5  # per square root of second
 # Between antennas that are not both calibrated the zenith delay has little freedom: their patterns would take it for decimetres of height.
@@ -158,7 +159,7 @@ def _walks(setup: Setup, ionosphere_sigma_m: float, memory: Vector) -> Walks:
     calibrated = len(setup.antennas) > 0
     zenith = (_ZENITH_WALK_M, ZENITH_SIGMA_M) if calibrated else _ZENITH_HELD
     return Walks(
-        setup.ambiguity_walk_cyc, _IONOSPHERE_MEMORY_S, ionosphere_sigma_m, zenith[0], zenith[1], _SLOPE_WALK_M,
+        setup.ambiguity_walk_cyc, _IONOSPHERE_MEMORY_S, ionosphere_sigma_m, zenith[0], zenith[1], _EXCESS_SIGMA, _SLOPE_WALK_M,
         ((memory[SLOPE_G1], memory[SLOPE_SIGMA_G1]), (memory[SLOPE_G2], memory[SLOPE_SIGMA_G2])),
     )  # fmt: skip
 
@@ -200,7 +201,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
         return Solved(FEW_COMMON, before, informed, before.x, before.P, figures, np.zeros((0, 0)), before.P)
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     atmospheric = is_atmospheric(length_m, d.pairs.satellite)
-    atmosphere, walks = 2 if atmospheric else 0, walks_of(setup, length_m, known.memory)
+    far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
+    atmosphere, walks = (2 if far else 3) if atmospheric else 0, walks_of(setup, length_m, known.memory)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
     since_s = since_seen(known.codes_s, d.pairs, coded, time_s)
     arranged = lay_out(before, d, since_s, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
@@ -212,7 +214,6 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if not outcome.ok or not is_finite(f.x, f.P):
         return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
     remember(f, d, layout, outcome.phase_used, time_s)
-    far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
     level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)

@@ -27,9 +27,11 @@ Indices = NDArray[np.int64]
 
 # Columns of a single difference. CODE and PHASE (m): observed minus modelled, rover minus base, NaN where not to be used; ROVER_PHASE and
 # BASE_PHASE (m) the same of one receiver (time differences find slips in them); variances (m2); IONOSPHERE is (f1 / f)^2; CN0 the lower
-# of the two. CHANNEL that of GLONASS on G1 and G2, 0 for others.
-CODE, PHASE, ROVER_PHASE, BASE_PHASE, CODE_VARIANCE, PHASE_VARIANCE, WAVELENGTH, IONOSPHERE, CN0, ELEVATION_RAD, CHANNEL = range(11)
-DIFFERENCE: Final = 11
+# of the two. CHANNEL that of GLONASS on G1 and G2, 0 for others. MODEL_L1 (m): the model's ionosphere on L1, rover minus base.
+(
+    CODE, PHASE, ROVER_PHASE, BASE_PHASE, CODE_VARIANCE, PHASE_VARIANCE, WAVELENGTH, IONOSPHERE, CN0, ELEVATION_RAD, CHANNEL, MODEL_L1,
+) = range(12)  # fmt: skip
+DIFFERENCE: Final = 12
 
 # Columns of what a receiver says of a signal; the sigmas (m, cycles) are NaN if it does not say them.
 WORD_CN0, WORD_CODE_SIGMA, WORD_PHASE_SIGMA = range(3)
@@ -128,6 +130,7 @@ def single_differences(
     rover_words: Matrix,
     base_words: Matrix,
     geometry: Matrix,
+    base_geometry: Matrix,
     mask_rad: float,
     noise: Vector,
     out: Matrix,
@@ -135,7 +138,7 @@ def single_differences(
     """Write the single differences (n x DIFFERENCE) of the pairs.
 
     ``rover`` and ``base`` (n x 2) are of ``undifferenced``; the words are of ``receiver_words``; ``geometry`` is the rover's, per
-    satellite; ``noise`` is the vector of parameters.
+    satellite, as ``base_geometry`` is the base's; ``noise`` is the vector of parameters.
     """
     for k in range(len(satellite_index)):
         elevation = float(geometry[satellite_index[k], ELEVATION])
@@ -147,6 +150,7 @@ def single_differences(
         out[k, WAVELENGTH], out[k, IONOSPHERE] = wavelength_m[k], scale * scale
         out[k, ROVER_PHASE], out[k, BASE_PHASE] = rover[k, 1], base[k, 1]
         out[k, CN0], out[k, ELEVATION_RAD], out[k, CHANNEL] = cn0, elevation, channels[k]
+        out[k, MODEL_L1] = geometry[satellite_index[k], IONOSPHERE_L1_M] - base_geometry[satellite_index[k], IONOSPHERE_L1_M]
         usable = elevation >= mask_rad
         out[k, CODE] = rover[k, 0] - base[k, 0] if usable else np.nan
         out[k, PHASE] = rover[k, 1] - base[k, 1] if usable else np.nan
@@ -242,8 +246,8 @@ def observe(
     receiver_words(base, pairs.base, 1, base_words, lock_s, flagged, half_cycle)
     table = np.empty((n, DIFFERENCE))
     single_differences(
-        index, pairs.likeness, wavelength_m, channels, out, base_out, words, base_words, geometry, conditions.mask_rad, conditions.noise,
-        table,
+        index, pairs.likeness, wavelength_m, channels, out, base_out, words, base_words, geometry, base_geometry, conditions.mask_rad,
+        conditions.noise, table,
     )  # fmt: skip
     direction, columns = np.empty((2, n, 3)), np.empty((3, n))
     issue, azimuth_rad, base_s = columns[0], columns[1], columns[2]

@@ -18,8 +18,9 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 ZENITH_KEY: Final = 0
+EXCESS_KEY: Final = MAX_SATELLITE  # the part by which the ionosphere exceeds its model, over the whole sky
 SLOPE_KEYS: Final = (MAX_SATELLITE + 1, MAX_SATELLITE + 2)  # of GLONASS phases on G1 and on G2
-FIRST_PAIR_KEY: Final = KEYS_PER_SATELLITE  # below: the zenith delay, ionosphere states (satellite numbers) and the GLONASS slopes
+FIRST_PAIR_KEY: Final = KEYS_PER_SATELLITE  # below: zenith delay, ionospheres (satellite numbers) and their excess, GLONASS slopes
 
 # Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last
 # phases minus model (m), ISSUE the ephemeris they were made with; ARC_EPOCHS counts epochs since the ambiguity was begun anew, REJECTS

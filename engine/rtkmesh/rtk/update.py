@@ -9,11 +9,13 @@ from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_index_table, 
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM
 from rtkmesh.rtk.filter import (
     AT_AMBIGUITY,
+    AT_EXCESS,
     AT_IONOSPHERE,
     AT_SLOPE,
     AT_ZENITH,
     GROUP,
     H_AMBIGUITY,
+    H_EXCESS,
     H_IONOSPHERE,
     H_SLOPE,
     H_X,
@@ -21,6 +23,7 @@ from rtkmesh.rtk.filter import (
     OBSERVATION,
     OK,
     PLACES,
+    SHARED,
     W,
     Y,
     factor,
@@ -29,7 +32,18 @@ from rtkmesh.rtk.filter import (
     residuals,
 )  # fmt: skip
 from rtkmesh.rtk.noise import DOF, SQUARES, code_factors, learn_codes, phase_factor
-from rtkmesh.rtk.residuals import CHANNEL, CODE, CODE_VARIANCE, ELEVATION_RAD, IONOSPHERE, PHASE, PHASE_VARIANCE, WAVELENGTH, Differences
+from rtkmesh.rtk.residuals import (
+    CHANNEL,
+    CODE,
+    CODE_VARIANCE,
+    ELEVATION_RAD,
+    IONOSPHERE,
+    MODEL_L1,
+    PHASE,
+    PHASE_VARIANCE,
+    WAVELENGTH,
+    Differences,
+)  # fmt: skip
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.velocity import add_velocity
 
@@ -66,6 +80,7 @@ class Layout(NamedTuple):
     ionosphere: Indices
     slope: Indices
     zenith: int
+    excess: int
     code_inflation: Vector
     phase_inflation: Vector
 
@@ -184,11 +199,13 @@ def fill_observations(f: Filter, d: Differences, layout: Layout, factors: Vector
             places[row, AT_AMBIGUITY] = layout.ambiguity[k] if part == 1 else -1
             out[row, H_SLOPE] = table[k, CHANNEL]
             places[row, AT_SLOPE] = layout.slope[k] if part == 1 else -1
+            out[row, H_EXCESS] = out[row, H_IONOSPHERE] * table[k, MODEL_L1]
+            places[row, AT_EXCESS] = layout.excess
             y = table[k, CODE] if part == 0 else table[k, PHASE]
             variance = table[k, CODE_VARIANCE] * layout.code_inflation[k] * scale
             if part == 1:
                 variance = table[k, PHASE_VARIANCE] * layout.phase_inflation[k] * phase_scale
-            for i in range(4):
+            for i in range(SHARED):
                 if places[row, AT_ZENITH + i] >= 0:
                     y -= out[row, H_ZENITH + i] * f.x[DYNAMIC + places[row, AT_ZENITH + i]]
             usable = np.isfinite(y) and np.isfinite(variance) and (part == 0 or layout.ambiguity[k] >= 0)

@@ -29,7 +29,7 @@ from rtkmesh.rtk.ambiguity import (
     write_held_differences,
 )
 from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
-from rtkmesh.rtk.calm import calmed
+from rtkmesh.rtk.calm import calmed, excess_of
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -261,7 +261,7 @@ def fix(
         integers, dynamic = held_differences(f, pairs), scratch_indices(DYNAMIC)
         for i in range(DYNAMIC):
             dynamic[i] = i
-        placing = calmed(f) if calm else f
+        placing = calmed(f, excess_of(f, pairs, integers)) if calm else f
         norm = condition(placing.x, placing.P, pairs, integers, 0.0, dynamic, x, P)
         if calm:
             norm = norm_of(f, pairs, integers)
