@@ -207,7 +207,9 @@ def test_where_bases_are_interpolated_both_sides_are_given(order: list[bool], lo
 
 @settings(max_examples=100, deadline=None)
 @given(st.data(), st.booleans(), st.sampled_from([0.02, 0.5, 1.0, 5.0]))
-def test_replay_pairs_do_not_depend_on_interleaving_however_the_base_is_reordered(data: st.DataObject, interpolate: bool, step: float) -> None:
+def test_replay_pairs_do_not_depend_on_interleaving_however_the_base_is_reordered(
+    data: st.DataObject, interpolate: bool, step: float
+) -> None:
     """By much more than is waited for, and with epochs that come again: pairs are those of a buffer that forgets nothing."""
     count = data.draw(st.integers(60, 160))
     late = data.draw(st.dictionaries(st.integers(0, count - 1), st.integers(1, 100), max_size=8))

@@ -27,7 +27,6 @@ from rtkmesh.rtk.state import (
     FIRST_PAIR_KEY,
     HALF_CYC,
     INTEGER,
-    ISSUE,
     REJECTS,
     ROVER_LOCK_S,
     ROVER_M,
@@ -300,7 +299,6 @@ def remember(f: Filter, d: Differences, layout: Layout, phase_used: NDArray[np.b
         row[SEEN_S], row[ROVER_S], row[BASE_S] = time_s, time_s, d.base_s[k]
         row[ROVER_M], row[BASE_M] = d.table[k, ROVER_PHASE], d.table[k, BASE_PHASE]
         row[ROVER_LOCK_S], row[BASE_LOCK_S] = d.lock_s[k, 0], d.lock_s[k, 1]
-        row[ISSUE] = d.issue[k]
         row[AWAY_ROVER:] = 0.0
         row[ARC_EPOCHS] += 1.0
         row[REJECTS] = 0.0 if phase_used[k] else row[REJECTS] + 1.0
