@@ -15,7 +15,7 @@ from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.ephemeris_change import change_ephemerides
 from rtkmesh.rtk.options import Direction, RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
-from rtkmesh.rtk.state import BASE_M, ROVER_M
+from rtkmesh.rtk.state import BASE_M, ROVER_M, Filter
 from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, broadcast
 
 pytestmark = pytest.mark.slow  # without compilation; with it, seconds
@@ -96,6 +96,26 @@ def test_a_satellite_that_was_away_then_comes_back_with_its_integer(scene: Scene
         assert epoch is not None
         epochs[k] = epoch.take(epoch.satellite != satellite)
     same(changed[AT + 1 :], solve(scene, epochs)[AT + 1 :], 1e-3)
+
+
+def test_the_informed_filter_remembers_the_same(scene: Scene):
+    """It sees the same phases less the same models, before a change of these and after it."""
+    engine = Rtk(RtkOptions())
+    for k in range(5):
+        engine.step(scene.rover[k], scene.base[k], table(), KLOBUCHAR, base_position_ecef_m=scene.place)
+    state, single = engine._state, engine._single
+    assert state is not None
+    assert single is not None
+    state.informed = Filter(*(part.copy() for part in state.filter))
+    before, channel = state.filter.history.copy(), table().issues.channel
+    engine._change_ionosphere(
+        START + 4.0, single, channel, np.array((3e-8, 0.0, 0.0, 0.0, 4e5, 0.0, 0.0, 0.0))
+    )  # a day of 4e5 s: at night too
+    after_ionosphere = state.filter.history.copy()
+    engine._change_ephemerides(single._replace(rows=table(new=True).select(single.satellites, START + 5.0)))
+    assert np.nanmax(np.abs(after_ionosphere[:, BASE_M] - before[:, BASE_M])) > 0.5
+    assert np.nanmax(np.abs(state.filter.history[:, BASE_M] - after_ionosphere[:, BASE_M])) > 0.5
+    np.testing.assert_array_equal(state.informed.history, state.filter.history)
 
 
 @pytest.mark.parametrize("direction", list(Direction))
