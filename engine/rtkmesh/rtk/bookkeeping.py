@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
 from rtkmesh.gnss.frames import write_enu, write_geodetic
-from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SBAS, SIGNALS_PER_SATELLITE, band_of
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SBAS, SIGNALS_PER_SATELLITE, band_of
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.code_arcs import inflation_of
 from rtkmesh.rtk.filter import predict_motion, reset_state
@@ -275,7 +275,7 @@ def begin_ambiguities(
             continue
         row = history[place[k]]
         if not row[ARC_EPOCHS] >= 0.0:
-            variance = _GLONASS_VARIANCE_CYC2 if satellite[k] // 64 == GLONASS else _AMBIGUITY_VARIANCE_CYC2
+            variance = _GLONASS_VARIANCE_CYC2 if satellite[k] // SATELLITES_PER_SYSTEM == GLONASS else _AMBIGUITY_VARIANCE_CYC2
             reset_state(x, P, dynamic + place[k], (table[k, PHASE] - table[k, CODE]) / table[k, WAVELENGTH], variance)
             row[ARC_EPOCHS], row[ARC_S], row[INTEGER], row[HALF_CYC] = 0.0, time_s, nan, 0.0
 
@@ -314,7 +314,7 @@ def find_candidates(
     """
     chosen, count = scratch_indices(len(layout.ambiguity)), 0
     for k in range(len(chosen)):
-        if int(d.pairs.satellite[k]) // 64 == SBAS:
+        if int(d.pairs.satellite[k]) // SATELLITES_PER_SYSTEM == SBAS:
             continue
         usable = phase_used[k] and layout.ambiguity[k] >= 0 and d.table[k, ELEVATION_RAD] >= mask_rad
         if usable and f.history[layout.ambiguity[k], ARC_EPOCHS] > least_epochs:
@@ -333,7 +333,7 @@ def systems_of(satellite: NDArray[np.int16]) -> int:
     """Return a bit per system that the satellites belong to."""
     bits = 0
     for k in range(len(satellite)):
-        bits |= 1 << (int(satellite[k]) // 64)
+        bits |= 1 << (int(satellite[k]) // SATELLITES_PER_SYSTEM)
     return bits
 
 
