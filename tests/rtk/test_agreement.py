@@ -7,7 +7,6 @@ from rtkmesh.rtk.agreement import (
     DEPARTURE_ALONE,
     FAINT_ODDS,
     FEW_INTEGERS,
-    MIRRORED_CODES,
     PROOF_ODDS,
     PROVEN_LEAST_S,
     is_unsafe,
@@ -15,6 +14,7 @@ from rtkmesh.rtk.agreement import (
     note_proof,
     stands_alone,
 )
+from rtkmesh.rtk.asked_odds import MIRRORED_CODES
 from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, PROVEN_S, SINCE_SEARCH, UNAGREED, forget, new_memory
 
 

@@ -23,9 +23,7 @@ def differences(satellites, seed=0):
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     number, index, flags = np.array(satellites, np.int16), np.zeros(n, np.int64), np.zeros((n, 2), np.bool_)
     pairs = Pairs(number, index, index, index, index, 1, number.astype(np.int64) * KEYS_PER_SATELLITE)
-    return Differences(
-        pairs, table, direction, direction, np.zeros(n), np.zeros(n), flags, flags[:, 0].copy(), np.zeros((n, 2)), np.zeros(n)
-    )
+    return Differences(pairs, table, direction, direction, np.zeros(n), flags, flags[:, 0].copy(), np.zeros((n, 2)), np.zeros(n))
 
 
 def told_filter(integers, seed=1):

@@ -205,6 +205,27 @@ def test_where_bases_are_interpolated_both_sides_are_given(order: list[bool], lo
             assert not past or rover - max(past) > 30.0 or base == pytest.approx(max(past))
 
 
+@settings(max_examples=100, deadline=None)
+@given(st.data(), st.booleans(), st.sampled_from([0.02, 0.5, 1.0, 5.0]))
+def test_replay_pairs_do_not_depend_on_interleaving_however_the_base_is_reordered(
+    data: st.DataObject, interpolate: bool, step: float
+) -> None:
+    """By much more than is waited for, and with epochs that come again: pairs are those of a buffer that forgets nothing."""
+    count = data.draw(st.integers(60, 160))
+    late = data.draw(st.dictionaries(st.integers(0, count - 1), st.integers(1, 100), max_size=8))
+    again = data.draw(st.dictionaries(st.integers(0, count - 1), st.integers(1, 100), max_size=4))
+    places = [(k + late.get(k, 0), k) for k in range(count)] + [(k + after, k) for k, after in again.items()]
+    bases = [k * step for _, k in sorted(places)]
+    rovers = [k * 0.5 + data.draw(st.sampled_from([0.0, 0.015])) for k in range(data.draw(st.integers(20, 100)))]
+    order = data.draw(st.lists(st.booleans(), max_size=len(rovers) + len(bases)))
+    options = PairingOptions(replay=True, interpolate=interpolate, maximum_wait_s=data.draw(st.sampled_from([1.0, 10.0])))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Pairing, "_forget", lambda *_: None)
+        expected = replayed(rovers, bases, [False] * len(bases), options)
+    assert replayed(rovers, bases, order, options) == expected
+    assert replayed(rovers, bases, [False] * len(bases), options) == expected
+
+
 def test_only_recordings_know_the_next_base_epoch() -> None:
     with pytest.raises(OptionError, match="in recordings alone"):
         PairingOptions(interpolate=True)

@@ -83,7 +83,7 @@ def epoch(bands=(1, 2), order=None):
     like = np.zeros(n, np.int64)
     pairs = Pairs(number[order].astype(np.int16), index, index, like, group[order], 2 * len(bands), key[order])
     d = Differences(
-        pairs, table[order].copy(), towards[order].copy(), towards[order].copy(), np.zeros(n), np.zeros(n), flags, flags[:, 0].copy(),
+        pairs, table[order].copy(), towards[order].copy(), towards[order].copy(), np.zeros(n), flags, flags[:, 0].copy(),
         np.zeros((n, 2)), np.zeros(n),
     )  # fmt: skip
     return d, integer[order]

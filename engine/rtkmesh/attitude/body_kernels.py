@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel
-from rtkmesh.attitude.combinations import cross, turned
+from rtkmesh.attitude.combinations import cross, length, turned
 from rtkmesh.attitude.symmetric import applied, eigen, product, squared
 from rtkmesh.models.normal_matrix import invert_positive_definite
 
@@ -66,19 +66,14 @@ def kabsch_rotation(body: Matrix, share: Vector, values: Matrix, cov: Matrix) ->
     u = _unit(applied(mixed, first))
     w = applied(mixed, second)
     w -= np.sum(w * u) * u
-    w = _unit(w) if _norm(w) > _STRAIGHT * _norm(applied(mixed, first)) else _across(u)
+    w = _unit(w) if length(w) > _STRAIGHT * length(applied(mixed, first)) else _across(u)
     third, last = cross(first, second), cross(u, w)
     return np.outer(u, first) + np.outer(w, second) + np.outer(last, third)
 
 
 @kernel
-def _norm(v: Vector) -> float:
-    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-
-
-@kernel
 def _unit(v: Vector) -> Vector:
-    return v / max(_norm(v), 1e-300)
+    return v / max(length(v), 1e-300)
 
 
 @kernel

@@ -89,7 +89,7 @@ def _each_alone(
     for j in range(k):
         for c in range(sizes[j]):
             if _climb(values_m[j, c], body_m[j]) <= tilt_rad:
-                alone[j, c] = _misfit_of_distance(values_m[j, c], none, _length(body_m[j]), spread_m2[j, j], axes[j, j])
+                alone[j, c] = _misfit_of_distance(values_m[j, c], none, length(body_m[j]), spread_m2[j, j], axes[j, j])
         order[j] = np.argsort(norms[j] + alone[j], kind="mergesort")
     return alone, order
 
@@ -113,7 +113,7 @@ def _least_misfit(chosen: Matrix, body_m: Matrix, spread_m2: Stack, axes: Axes, 
     for j in range(last):
         for i in range(3):
             apart[i] = body_m[last, i] - body_m[j, i]
-        worst = max(worst, _misfit_of_distance(chosen[last], chosen[j], _length(apart), spread_m2[last, j], axes[last, j]))
+        worst = max(worst, _misfit_of_distance(chosen[last], chosen[j], length(apart), spread_m2[last, j], axes[last, j]))
     return worst
 
 
@@ -161,14 +161,15 @@ def _misfit_of_distance(end_m: Vector, start_m: Vector, distance_m: float, varia
 
 
 @kernel
-def _length(v: Vector) -> float:
+def length(v: Vector) -> float:
+    """Return the length of a vector of three."""
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
 @kernel
 def _climb(v: Vector, body: Vector) -> float:
     """Return the difference of two vectors' elevations (rad): the tilt of the body is at least this."""
-    first, second = -v[2] / max(_length(v), 1e-9), -body[2] / max(_length(body), 1e-9)
+    first, second = -v[2] / max(length(v), 1e-9), -body[2] / max(length(body), 1e-9)
     return abs(acos(min(1.0, max(-1.0, first))) - acos(min(1.0, max(-1.0, second))))
 
 
@@ -188,7 +189,7 @@ def _straight(body_m: Matrix) -> bool:
 def _partner(body_m: Matrix, count: int) -> int:
     """Return the first of ``count`` baselines that is not parallel to the first one, 0 if there is none."""
     for j in range(1, count):
-        if _length(cross(body_m[0], body_m[j])) > _PARALLEL * _length(body_m[0]) * _length(body_m[j]):
+        if length(cross(body_m[0], body_m[j])) > _PARALLEL * length(body_m[0]) * length(body_m[j]):
             return j
     return 0
 
@@ -196,8 +197,8 @@ def _partner(body_m: Matrix, count: int) -> int:
 @kernel
 def _frame(first: Vector, second: Vector, out: Matrix) -> None:
     """Write the orthonormal axes (columns) of two vectors: along the first, across both, and the third."""
-    along, across = first / max(_length(first), 1e-9), cross(first, second)
-    across = across / max(_length(across), 1e-12)
+    along, across = first / max(length(first), 1e-9), cross(first, second)
+    across = across / max(length(across), 1e-12)
     out[:, 0], out[:, 1], out[:, 2] = along, across, cross(along, across)
 
 
@@ -211,7 +212,7 @@ def _start(chosen: Matrix, body_m: Matrix, predicted: Matrix, count: int, rotati
     else:
         turned = _times(predicted, body_m[0])
         axis = cross(turned, chosen[0])
-        if _length(axis) < 1e-9 * _length(turned):
+        if length(axis) < 1e-9 * length(turned):
             axis = cross(turned, np.array((0.31, 0.52, 0.79)))
         _frame(turned, axis, theirs)
         for i in range(3):
@@ -246,7 +247,7 @@ def fit_rotation(
     chi += _pulled(predicted, predicted_weight, rotation, N, g) if expected else 0.0
     for _ in range(_STEPS):
         step, now = _solved(N, g), np.inf
-        if not _length(step) > _CONVERGED_RAD:
+        if not length(step) > _CONVERGED_RAD:
             break
         for share in (1.0, 0.3):
             turned(share * step, rotation, trial)
@@ -318,7 +319,7 @@ def _turn_between(rotation: Matrix, other: Matrix) -> Vector:
         for j in range(3):
             E[i, j] = other[i, 0] * rotation[j, 0] + other[i, 1] * rotation[j, 1] + other[i, 2] * rotation[j, 2]
     out = np.array((E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]))
-    double_sine = _length(out)
+    double_sine = length(out)
     angle = acos(min(1.0, max(-1.0, 0.5 * (E[0, 0] + E[1, 1] + E[2, 2] - 1.0))))
     return out * (0.5 if angle < 1e-6 else angle / max(double_sine, 1e-9))
 
@@ -326,7 +327,7 @@ def _turn_between(rotation: Matrix, other: Matrix) -> Vector:
 @kernel
 def turned(step: Vector, rotation: Matrix, out: Matrix) -> None:
     """Write the rotation turned by a vector (rad): Rodrigues' formula, column by column."""
-    angle = max(_length(step), 1e-12)
+    angle = max(length(step), 1e-12)
     s, c = sin(angle) / angle, (1.0 - cos(angle)) / angle**2
     for j in range(3):
         v = rotation[:, j].copy()

@@ -150,41 +150,39 @@ def _limit(degrees: int) -> float:
 
 def _searched(layout: Layout, tables: Sequence[Candidates], expected: Expectation) -> tuple[Indices, Vector, Matrix]:
     """Return the two best combinations as numbers of candidates (2, k), their costs, and the rotation of the best."""
-    k, most, share = len(tables), max(len(table.norms) for table in tables), _share(pairs_of(tables))
-    values, norms = np.zeros((k, most, 3)), np.zeros((k, most))
-    for j, table in enumerate(tables):
-        values[j, : len(table.norms)], norms[j, : len(table.norms)] = table.baselines_ned_m, share * table.norms
+    k, (values, norms, sizes) = len(tables), _side_by_side(tables)
     body = np.array([layout.positions_m[table.end] - layout.positions_m[table.start] for table in tables])
     cov = joint_covariance(tables)
     if layout.cov_m2 is not None:
         cov += _blurred(layout.cov_m2, tables)
-    weights = np.zeros((k, 3 * k, 3 * k))
-    for j in range(1, k + 1):
-        weights[j - 1, : 3 * j, : 3 * j] = np.linalg.inv(cov[: 3 * j, : 3 * j])
     spread, axes = _spread(cov)
     loops = _loops(pairs_of(tables))
-    predicted = np.eye(3) if expected.ned_from_body is None else expected.ned_from_body
+    start = np.ascontiguousarray(np.eye(3) if expected.ned_from_body is None else expected.ned_from_body)
     known: Matrix = np.zeros((3, 3)) if expected.cov_rad2 is None else np.linalg.inv(expected.cov_rad2).astype(np.float64)
     two, costs, rotation = np.zeros((2, k), np.int64), np.full(2, inf), np.eye(3)
-    sizes, start = np.array([len(table.norms) for table in tables]), np.ascontiguousarray(predicted)
     search_combinations(
-        values,
-        norms,
-        sizes,
-        body,
-        weights,
-        spread,
-        axes,
-        loops,
-        _loop_weights(loops, cov),
-        start,
-        known,
-        expected.tilt_rad,
-        two,
-        costs,
-        rotation,
-    )
+        values, norms, sizes, body, _weights(cov), spread, axes, loops, _loop_weights(loops, cov), start, known, expected.tilt_rad, two,
+        costs, rotation,
+    )  # fmt: skip
     return two, costs, rotation
+
+
+def _side_by_side(tables: Sequence[Candidates]) -> tuple[NDArray[np.float64], Matrix, Indices]:
+    """Return the baselines (k, m, 3; NED, m) and norms (k, m) of all candidates, zeros behind the last of a table, and how many it has."""
+    k, most, share = len(tables), max(len(table.norms) for table in tables), _share(pairs_of(tables))
+    values, norms = np.zeros((k, most, 3)), np.zeros((k, most))
+    for j, table in enumerate(tables):
+        values[j, : len(table.norms)], norms[j, : len(table.norms)] = table.baselines_ned_m, share * table.norms
+    return values, norms, np.array([len(table.norms) for table in tables])
+
+
+def _weights(cov_m2: Matrix) -> NDArray[np.float64]:
+    """Return the weights of the first j + 1 vectors together (j, 3 k, 3 k)."""
+    k = len(cov_m2) // 3
+    weights = np.zeros((k, 3 * k, 3 * k))
+    for j in range(1, k + 1):
+        weights[j - 1, : 3 * j, : 3 * j] = np.linalg.inv(cov_m2[: 3 * j, : 3 * j])
+    return weights
 
 
 def _spread(cov_m2: Matrix) -> tuple[Matrix, Matrix]:

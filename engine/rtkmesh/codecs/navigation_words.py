@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.codecs.bits import Layout
 from rtkmesh.codecs.checksums import CRC24Q
 from rtkmesh.codecs.subframes import BEIDOU_PREAMBLE, GLONASS_CHECK_MASKS, GLONASS_STRING, INAV, LNAV_PREAMBLE
@@ -153,7 +153,7 @@ def set_is_whole(satellites: Satellites, satellite: int, message: int, clock: in
     return message != GLONASS_MESSAGE or same or known
 
 
-@kernel
+@kernel_in_place
 def check_block(satellite: int, message: int, words: Words, clock: int) -> int:
     """Check the block in ``words``; return its index if it is of use, QUIET if it is of none, or what is wrong with it.
 
@@ -161,47 +161,77 @@ def check_block(satellite: int, message: int, words: Words, clock: int) -> int:
     ``INAV_PAGE``): of that the first four are afterwards the data of its word.
     """
     if message == INAV_MESSAGE:
-        if words[0] >> 31 or not words[4] >> 31:
-            return BAD_PREAMBLE
-        if words[0] >> 30 & 1 or words[4] >> 30 & 1:
-            return ALERT
-        index, crc = words[0] >> 24 & 63, 0
-        if index > 5:
-            return QUIET
-        for k in range(7):  # 114 bits of the even part, 82 of the odd part (Galileo OS SIS ICD 2.1 5.1.9.4)
-            last = k == 3 or k == 6
-            for shift in range(24, 8 if last else -8, -8):
-                crc = ((crc << 8) & 0xFFFFFF) ^ int(CRC24Q[0, (crc >> 16) ^ (words[k] >> shift & 255)])
-            if last:
-                crc = ((crc << 2) & 0xFFFFFF) ^ int(CRC24Q[0, (crc >> 22) ^ (words[k] >> 14 & 3)])
-        if crc != (words[6] & 0x3FFF) << 10 | words[7] >> 22:
-            return BAD_CHECKSUM
-        for k in range(3):
-            words[k] = (words[k] << 2 | words[k + 1] >> 30) & 0xFFFFFFFF
-        words[3] = (words[3] >> 14 & 0xFFFF) << 16 | words[4] >> 14 & 0xFFFF
-        return index if index > 0 or (words[0] >> 24 & 3 == 2 and clock != GIVEN_CLOCK) else QUIET  # word 0 may hold a time
+        return _check_page(words, clock)
     if message == GLONASS_MESSAGE:
-        index, check, total = words[0] >> 27 & 15, 0, 0
-        if index < 1 or index > 5:
-            return QUIET
-        for k in range(
-            8
-        ):  # check bits 1 to 8: parities of masked data bits, at last of all of them and of the others (GLONASS ICD 5.1, 4.7)
-            odd = total if k == 7 else 0
-            for i in range(3):
-                odd ^= words[i] & _CHECK_MASKS[k, i]
-            for shift in _FOLDS:
-                odd ^= odd >> shift
-            check |= (odd & 1) << k
-            total ^= odd & 1
-        return index if check == words[2] >> 11 & 255 else BAD_CHECKSUM
+        return _check_string(words)
     if message == LNAV_MESSAGE:
-        if words[0] >> 22 != LNAV_PREAMBLE:
-            return BAD_PREAMBLE
-        index, system, page = words[1] >> 8 & 7, satellite // SATELLITES_PER_SYSTEM, words[2] >> 22
-        # Data id and page id (IS-GPS-200N 20.3.3.5.1, IS-QZSS-PNT 5.5.2).
-        is_ionosphere = (system == GPS and page == 1 << 6 | 56) or (system == QZSS and page == 3 << 6 | 56)
-        return index if 1 <= index <= 3 or (index == IONOSPHERE_SUBFRAME and is_ionosphere) else QUIET
+        return _check_subframe(satellite // SATELLITES_PER_SYSTEM, words)
+    return _check_beidou(message, words)
+
+
+@kernel_in_place
+def _check_page(words: Words, clock: int) -> int:
+    """Check an I/NAV page, and leave the data of its word."""
+    if words[0] >> 31 or not words[4] >> 31:
+        return BAD_PREAMBLE
+    if words[0] >> 30 & 1 or words[4] >> 30 & 1:
+        return ALERT
+    index = words[0] >> 24 & 63
+    if index > 5:
+        return QUIET
+    if _crc_of_page(words) != (words[6] & 0x3FFF) << 10 | words[7] >> 22:
+        return BAD_CHECKSUM
+    for k in range(3):
+        words[k] = (words[k] << 2 | words[k + 1] >> 30) & 0xFFFFFFFF
+    words[3] = (words[3] >> 14 & 0xFFFF) << 16 | words[4] >> 14 & 0xFFFF
+    return index if index > 0 or (words[0] >> 24 & 3 == 2 and clock != GIVEN_CLOCK) else QUIET  # word 0 may hold a time
+
+
+@kernel_in_place
+def _crc_of_page(words: Words) -> int:
+    """Return the checksum of 114 bits of the even part and 82 of the odd part (Galileo OS SIS ICD 2.1 5.1.9.4)."""
+    crc = 0
+    for k in range(7):
+        last = k == 3 or k == 6
+        for shift in range(24, 8 if last else -8, -8):
+            crc = ((crc << 8) & 0xFFFFFF) ^ int(CRC24Q[0, (crc >> 16) ^ (words[k] >> shift & 255)])
+        if last:
+            crc = ((crc << 2) & 0xFFFFFF) ^ int(CRC24Q[0, (crc >> 22) ^ (words[k] >> 14 & 3)])
+    return crc
+
+
+@kernel_in_place
+def _check_string(words: Words) -> int:
+    """Check a GLONASS string: its check bits are parities of masked data bits, the last of all of them and of the others (ICD 5.1, 4.7)."""
+    index, check, total = words[0] >> 27 & 15, 0, 0
+    if index < 1 or index > 5:
+        return QUIET
+    for k in range(8):
+        odd = total if k == 7 else 0
+        for i in range(3):
+            odd ^= words[i] & _CHECK_MASKS[k, i]
+        for shift in _FOLDS:
+            odd ^= odd >> shift
+        check |= (odd & 1) << k
+        total ^= odd & 1
+    return index if check == words[2] >> 11 & 255 else BAD_CHECKSUM
+
+
+@kernel_in_place
+def _check_subframe(system: int, words: Words) -> int:
+    """Check an LNAV subframe; of the fourth that page is of use which holds the ionosphere, by its data id and page id
+    (IS-GPS-200N 20.3.3.5.1, IS-QZSS-PNT 5.5.2).
+    """
+    if words[0] >> 22 != LNAV_PREAMBLE:
+        return BAD_PREAMBLE
+    index, page = words[1] >> 8 & 7, words[2] >> 22
+    is_ionosphere = (system == GPS and page == 1 << 6 | 56) or (system == QZSS and page == 3 << 6 | 56)
+    return index if 1 <= index <= 3 or (index == IONOSPHERE_SUBFRAME and is_ionosphere) else QUIET
+
+
+@kernel_in_place
+def _check_beidou(message: int, words: Words) -> int:
+    """Check a subframe of BeiDou; of D2 the pages of the first are of use."""
     if words[0] >> 19 != BEIDOU_PREAMBLE:
         return BAD_PREAMBLE
     index, page = words[0] >> 12 & 7, words[1] >> 14 & 15

@@ -1,7 +1,7 @@
 """Which integers are believed when none are held: from one clear search, from a subset, or from searches that keep agreeing."""
 
 from math import isfinite, log, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,70 +65,133 @@ WIDE_M: Final = 5.0  # sigma in 3D of a float solution from which on odds must b
 SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chance
 
 
-@kernel
-def try_new(
-    f: Filter, aided: Filter, helped: bool, candidates: Candidates, everything: Candidates, free: Search, memory: Vector,
-    setup: ResolveSetup, time_s: float, asked: float, asked_of_free: float, reflected: bool,
-) -> None:  # fmt: skip
-    """Look for integers without any that are held; ``aided`` is the filter that knows a prediction, where that ``helped``; ``asked``
-    are the log odds from which one search is believed (``asked_odds``), ``asked_of_free`` those of the ``free`` one; ``reflected``: codes
-    are worse than those of patches in the open.
+class Question(NamedTuple):
+    """What an epoch asks in which no integers are held: the filter, and the one that knows a prediction, where that ``helped``; candidates
+    without those of GLONASS that are not trusted, and ``everything``; the log odds from which one search is believed (``asked_odds``), and
+    those of the ``free`` search; ``reflected``: codes are worse than those of patches in the open.
     """
-    release(f)
+
+    f: Filter
+    aided: Filter
+    helped: bool
+    candidates: Candidates
+    everything: Candidates
+    free: Search
+    asked: float
+    asked_of_free: float
+    reflected: bool
+
+
+class Answer(NamedTuple):
+    """Integers that may be believed: their search, and the filter whose slopes of GLONASS phases they go with; the log odds from which one
+    search is believed, and the ``penalty`` for having looked so often; ``wide``: GLONASS is in it, ``part``: a subset.
+    """
+
+    search: Search
+    f: Filter
+    needed: float
+    penalty: float
+    wide: bool
+    part: bool
+
+
+@kernel
+def try_new(q: Question, memory: Vector, setup: ResolveSetup, time_s: float) -> None:
+    """Look for integers without any that are held, and hold them where they are believed."""
+    release(q.f)
     memory[HELD_SINCE_S] = np.inf
-    best, level, penalty, wide, part, needed, space = free, f, 0.0, False, False, asked_of_free, log_space(f)
-    if not _strong(best, space, setup, needed) and helped and len(candidates.row) > 1:
-        found = search_all(aided, candidates, setup)
-        if found.odds > best.odds:
-            best, needed = found, asked
-    if not _strong(best, space, setup, needed) and len(candidates.row) > 1:
-        other = _best_subset(f, candidates, free, setup, time_s)
-        if other.odds > best.odds:
-            best, penalty, needed, part = other, log(SUBSETS), asked, True
-        if len(everything.row) > len(candidates.row):
-            flat = without_slopes(f)
-            sloped, straight = search_all(f, everything, setup), search_all(flat, everything, setup)
-            slopeless = straight.odds > sloped.odds and bears_out(f, sloped, straight)
-            with_glonass = straight if slopeless else (sloped if isfinite(setup.length_m) else possible(f, sloped))
-            if with_glonass.odds > best.odds:
-                best, penalty, wide, part, needed = with_glonass, log(SUBSETS), True, False, max(asked, ACCEPT_AT_ONCE)
-                level = flat if slopeless else f
-    far2 = (f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2) / FAR_M**2
-    if far2 <= 1.0 and not isfinite(setup.length_m) and not _strong(best, penalty + space, setup, needed):
-        common = search_common(f, candidates, setup.confidence * asked + log(SUBSETS) + space)
-        if common.resolved:
-            best, penalty, wide, part, needed = common, log(SUBSETS), False, False, asked
-    if not best.resolved or len(best.pairs) < setup.minimum_ambiguities:
+    space, far2 = log_space(q.f), (q.f.x[0] ** 2 + q.f.x[1] ** 2 + q.f.x[2] ** 2) / FAR_M**2
+    answer = _looked_for(q, space, far2, setup, time_s)
+    found = answer.search
+    if not found.resolved or len(found.pairs) < setup.minimum_ambiguities:
         memory[STREAK_EPOCHS] = 0.0
         return
-    _follow(f, best, memory, time_s)
-    few = far2 > 1.0 and len(best.pairs) < FAR_COUNT
-    lasting_s = STREAK_S if len(best.pairs) >= WEAK_COUNT else WEAK_STREAK_S
-    if few:
+    _follow(q.f, found, memory, time_s)
+    strong = not _are_few_afar(found, far2) and _strong(answer, space, setup)
+    if (strong or _is_likely(answer, space, far2, memory, setup, time_s)) and _stands(q, answer, strong, space, far2, memory, setup):
+        _believe(q.f, answer, strong, memory, setup, time_s)
+
+
+@kernel
+def _looked_for(q: Question, space: float, far2: float, setup: ResolveSetup, time_s: float) -> Answer:
+    """Return the best of all searches that are worth it: the free one; with the prediction; of subsets, and with GLONASS; of what likely
+    vectors have in common. Where one is strong no more are made.
+    """
+    answer, several = Answer(q.free, q.f, q.asked_of_free, 0.0, False, False), len(q.candidates.row) > 1
+    if not _strong(answer, space, setup) and q.helped and several:
+        found = search_all(q.aided, q.candidates, setup)
+        if found.odds > answer.search.odds:
+            answer = Answer(found, q.f, q.asked, 0.0, False, False)
+    if not _strong(answer, space, setup) and several:
+        found = _best_subset(q.f, q.candidates, q.free, setup, time_s)
+        if found.odds > answer.search.odds:
+            answer = Answer(found, q.f, q.asked, log(SUBSETS), False, True)
+        if len(q.everything.row) > len(q.candidates.row):
+            answer = _with_glonass(q, answer, setup)
+    if far2 <= 1.0 and not isfinite(setup.length_m) and not _strong(answer, space, setup):
+        found = search_common(q.f, q.candidates, setup.confidence * q.asked + log(SUBSETS) + space)
+        if found.resolved:
+            answer = Answer(found, answer.f, q.asked, log(SUBSETS), False, False)
+    return answer
+
+
+@kernel
+def _with_glonass(q: Question, answer: Answer, setup: ResolveSetup) -> Answer:
+    """Return the search of all, GLONASS too, if its odds are better: with an open slope, or without one where the other bears it out."""
+    flat = without_slopes(q.f)
+    sloped, straight = search_all(q.f, q.everything, setup), search_all(flat, q.everything, setup)
+    slopeless = straight.odds > sloped.odds and bears_out(q.f, sloped, straight)
+    found = straight if slopeless else (sloped if isfinite(setup.length_m) else possible(q.f, sloped))
+    if not found.odds > answer.search.odds:
+        return answer
+    return Answer(found, flat if slopeless else q.f, max(q.asked, ACCEPT_AT_ONCE), log(SUBSETS), True, False)
+
+
+@kernel_in_place
+def _are_few_afar(found: Search, far2: float) -> bool:
+    """Return whether integers are so few, over a baseline of this square (in FAR_M), that they must last."""
+    return far2 > 1.0 and len(found.pairs) < FAR_COUNT
+
+
+@kernel_in_place
+def _is_likely(answer: Answer, space: float, far2: float, memory: Vector, setup: ResolveSetup, time_s: float) -> bool:
+    """Return whether searches have given these integers for long enough."""
+    lasting_s = STREAK_S if len(answer.search.pairs) >= WEAK_COUNT else WEAK_STREAK_S
+    if _are_few_afar(answer.search, far2):
         lasting_s = max(lasting_s, min(far2 * WEAK_STREAK_S, FAR_STREAK_S))
     persistent = memory[STREAK_EPOCHS] >= STREAK_EPOCHS_LEAST and time_s - memory[STREAK_START_S] >= lasting_s
-    likely = persistent and best.odds >= setup.confidence * ACCEPT_AFTER_STREAK + penalty + space
-    strong = not few and _strong(best, penalty + space, setup, needed)
-    if not (likely or strong) or best.norm > NORM_LIMIT * len(best.pairs):
-        return
-    if reflected and far2 <= 1.0 and are_bare(f, best.pairs):
-        return  # elsewhere GLONASS, or another system, may be found by them
-    suspect = part and is_felt(f) and not reflected and len(best.pairs) < FAR_COUNT
-    if suspect and not is_borne_out(f, best, free, memory[LAST_ODDS], setup):
-        return
-    said = glonass_says(aided, everything, best, setup) if len(everything.row) > len(candidates.row) else SILENT
-    vague = not strong and (part or said != AGREES) and best.odds < setup.confidence * odds_of_lasting(f, len(best.pairs)) + penalty + space
-    if said == OBJECTS or vague:
-        return
-    if wide:  # the slope that GLONASS fits with is known now
-        f.x[:], f.P[:, :] = level.x, level.P
+    return bool(persistent and answer.search.odds >= setup.confidence * ACCEPT_AFTER_STREAK + answer.penalty + space)
+
+
+@kernel
+def _stands(q: Question, answer: Answer, strong: bool, space: float, far2: float, memory: Vector, setup: ResolveSetup) -> bool:
+    """Return whether integers fit, could show that one of them is wrong, and nothing at hand says otherwise."""
+    found = answer.search
+    if found.norm > NORM_LIMIT * len(found.pairs):
+        return False
+    if q.reflected and far2 <= 1.0 and are_bare(q.f, found.pairs):
+        return False  # elsewhere GLONASS, or another system, may be found by them
+    suspect = answer.part and is_felt(q.f) and not q.reflected and len(found.pairs) < FAR_COUNT
+    if suspect and not is_borne_out(q.f, found, q.free, memory[LAST_ODDS], setup):
+        return False
+    said = glonass_says(q.aided, q.everything, found, setup) if len(q.everything.row) > len(q.candidates.row) else SILENT
+    least = setup.confidence * odds_of_lasting(q.f, len(found.pairs)) + answer.penalty + space
+    return said != OBJECTS and (strong or not (answer.part or said != AGREES) or found.odds >= least)
+
+
+@kernel
+def _believe(f: Filter, answer: Answer, strong: bool, memory: Vector, setup: ResolveSetup, time_s: float) -> None:
+    """Hold integers, and show a fix at once where they are sure or fit well."""
+    found, count = answer.search, len(answer.search.pairs)
+    if answer.wide:  # the slope that GLONASS fits with is known now
+        f.x[:], f.P[:, :] = answer.f.x, answer.f.P
         memory[TRUSTS_GLONASS] = 1.0
-        tell_slopes(f, best.pairs, best.integers)
-    _hold(f, best)
+        tell_slopes(f, found.pairs, found.integers)
+    _hold(f, found)
     memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED] = time_s, 0.0, 0.0
-    good = penalty == 0.0 and best.norm <= GOOD_FIT * len(best.pairs)
-    clear = strong and penalty == 0.0 and needed < ACCEPT_AT_ONCE  # so are odds that are enough where codes are good
-    memory[SHOWN] = 1.0 if good or clear or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
+    good = answer.penalty == 0.0 and found.norm <= GOOD_FIT * count
+    clear = strong and answer.penalty == 0.0 and answer.needed < ACCEPT_AT_ONCE  # so are odds that are enough where codes are good
+    memory[SHOWN] = 1.0 if good or clear or found.odds >= setup.confidence * SURE or count >= STRONG_COUNT else 0.0
 
 
 @kernel_in_place
@@ -233,12 +296,14 @@ def glonass_says(f: Filter, everything: Candidates, found: Search, setup: Resolv
 
 
 @kernel_in_place
-def _strong(found: Search, penalty: float, setup: ResolveSetup, asked: float) -> bool:
-    count = len(found.pairs)
+def _strong(answer: Answer, space: float, setup: ResolveSetup) -> bool:
+    """Return whether one search is clear enough by itself; ``space`` is that of ``log_space``."""
+    found, count = answer.search, len(answer.search.pairs)
     if not found.resolved or count < setup.minimum_ambiguities:
         return False
     many = count >= STRONG_COUNT and found.norm <= 0.25 * NORM_LIMIT * count
-    return found.odds >= setup.confidence * (min(ACCEPT_MANY, asked) if many else asked) + penalty
+    asked = min(ACCEPT_MANY, answer.needed) if many else answer.needed
+    return found.odds >= setup.confidence * asked + (answer.penalty + space)
 
 
 @kernel

@@ -4,13 +4,13 @@ Right integers outlive weak epochs, so that alone is no doubt. But what is wrong
 a search gave once and never again, held ones that come back after a while of slips that nobody told, phases that arrive by a reflection.
 """
 
-from math import isfinite
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel_in_place
+from rtkmesh.rtk.asked_odds import MIRRORED_CODES, are_worse
 from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, LAST_FIX_S, MISSED, NOTED_S, PROVEN_S, SINCE_SEARCH, UNAGREED
 
 Vector = NDArray[np.float64]
@@ -22,10 +22,9 @@ MISSED_MOST: Final = 2.0  # epochs without a fix, and
 MISSED_S: Final = 3.0  # this long, after which a search must agree again
 DEPARTURE_ALONE: Final = 2.0  # squared departure from the prediction, where others may have ``validation.DEPARTURE_LIMIT``
 # Wrong integers that one search gave clearly are seldom given clearly again. So few ones must be, with PROOF_ODDS for PROVEN_LEAST_S since
-# they are held or came back, where codes are worse than MIRRORED_CODES (patches under trees: 1.6). Until then no fix is shown that its
+# they are held or came back, where codes are worse than MIRRORED_CODES. Until then no fix is shown that its
 # epoch's search does not give with FAINT_ODDS. In simulated streets (2640 runs of two seeds) this finds 250 of 816 wrong fixes, most of
 # the integers that are metres off for long among them, and 2.0 % of the right ones; on recordings none.
-MIRRORED_CODES: Final = 2.0
 FEW_INTEGERS: Final = 10
 PROOF_ODDS: Final = 3.0
 PROVEN_LEAST_S: Final = 4.9
@@ -49,7 +48,7 @@ def stands_alone(memory: Vector, away: float, time_s: float, unsafe: bool, odds:
 @kernel_in_place
 def is_unsafe(integers: int, level: float) -> bool:
     """Return whether integers are so few, with codes of this variance factor (infinite: not known), that they must be proven."""
-    return integers <= FEW_INTEGERS and isfinite(level) and level > MIRRORED_CODES
+    return integers <= FEW_INTEGERS and are_worse(level, MIRRORED_CODES)
 
 
 @kernel_in_place

@@ -26,6 +26,8 @@ ASKED_OF_SURVEY_CODES: Final = 5.0
 ASKED_OF_WITNESSED: Final = 6.0
 # Beyond STREET_CODES wrong ones of a single search had up to 8.5 (8.9 m off) in simulated streets, and to 10.3 with GLONASS.
 STREET_CODES: Final = 4.0
+# The same scale says in ``agreement`` where few integers must be proven: where codes are worse than those of patches under trees (1.6).
+MIRRORED_CODES: Final = 2.0
 ASKED_OF_STREETS: Final = 9.0
 WEAK_COUNT: Final = 8  # fewer integers are few
 # Nearer, what the atmosphere leaves is below the phases' multipath.
@@ -42,13 +44,21 @@ def code_level(scale: Matrix) -> float:
 @kernel_in_place
 def is_reflected(level: float) -> bool:
     """Return whether codes of this variance factor (infinite: not known) are worse than those of patches in the open."""
-    return isfinite(level) and level > FAIR_CODES
+    return are_worse(level, FAIR_CODES)
 
 
 @kernel_in_place
 def is_street(level: float) -> bool:
     """Return whether codes of this variance factor (infinite: not known) are those of a place with many reflections."""
-    return isfinite(level) and level > STREET_CODES
+    return are_worse(level, STREET_CODES)
+
+
+@kernel_in_place
+def are_worse(level: float, limit: float) -> bool:
+    """Return whether codes of this variance factor are known to be worse than those of a place: the one question that FAIR_CODES,
+    MIRRORED_CODES and STREET_CODES answer to. Codes that are not known (infinite) are no worse.
+    """
+    return isfinite(level) and level > limit
 
 
 @kernel_in_place

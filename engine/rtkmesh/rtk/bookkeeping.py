@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
 from rtkmesh.gnss.frames import write_enu, write_geodetic
-from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SBAS, SIGNALS_PER_SATELLITE, band_of
+from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SBAS, SIGNALS_PER_SATELLITE, band_of
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.code_arcs import inflation_of
 from rtkmesh.rtk.filter import predict_motion, reset_state
@@ -28,7 +28,6 @@ from rtkmesh.rtk.state import (
     FIRST_PAIR_KEY,
     HALF_CYC,
     INTEGER,
-    ISSUE,
     REJECTS,
     ROVER_LOCK_S,
     ROVER_M,
@@ -281,7 +280,7 @@ def begin_ambiguities(
             continue
         row = history[place[k]]
         if not row[ARC_EPOCHS] >= 0.0:
-            variance = _GLONASS_VARIANCE_CYC2 if satellite[k] // 64 == GLONASS else _AMBIGUITY_VARIANCE_CYC2
+            variance = _GLONASS_VARIANCE_CYC2 if satellite[k] // SATELLITES_PER_SYSTEM == GLONASS else _AMBIGUITY_VARIANCE_CYC2
             reset_state(x, P, dynamic + place[k], (table[k, PHASE] - table[k, CODE]) / table[k, WAVELENGTH], variance)
             row[ARC_EPOCHS], row[ARC_S], row[INTEGER], row[HALF_CYC] = 0.0, time_s, nan, 0.0
 
@@ -305,7 +304,6 @@ def remember(f: Filter, d: Differences, layout: Layout, phase_used: NDArray[np.b
         row[SEEN_S], row[ROVER_S], row[BASE_S] = time_s, time_s, d.base_s[k]
         row[ROVER_M], row[BASE_M] = d.table[k, ROVER_PHASE], d.table[k, BASE_PHASE]
         row[ROVER_LOCK_S], row[BASE_LOCK_S] = d.lock_s[k, 0], d.lock_s[k, 1]
-        row[ISSUE] = d.issue[k]
         row[AWAY_ROVER:] = 0.0
         row[ARC_EPOCHS] += 1.0
         row[REJECTS] = 0.0 if phase_used[k] else row[REJECTS] + 1.0
@@ -321,7 +319,7 @@ def find_candidates(
     """
     chosen, count = scratch_indices(len(layout.ambiguity)), 0
     for k in range(len(chosen)):
-        if int(d.pairs.satellite[k]) // 64 == SBAS:
+        if int(d.pairs.satellite[k]) // SATELLITES_PER_SYSTEM == SBAS:
             continue
         usable = phase_used[k] and layout.ambiguity[k] >= 0 and d.table[k, ELEVATION_RAD] >= mask_rad
         if usable and f.history[layout.ambiguity[k], ARC_EPOCHS] > least_epochs:
@@ -340,7 +338,7 @@ def systems_of(satellite: NDArray[np.int16]) -> int:
     """Return a bit per system that the satellites belong to."""
     bits = 0
     for k in range(len(satellite)):
-        bits |= 1 << (int(satellite[k]) // 64)
+        bits |= 1 << (int(satellite[k]) // SATELLITES_PER_SYSTEM)
     return bits
 
 

@@ -30,6 +30,7 @@ from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
 from rtkmesh.rtk.crossing import plain, renamed
+from rtkmesh.rtk.ephemeris_change import are_new, change_ephemerides, learn_ephemerides, no_ephemerides
 from rtkmesh.rtk.ionosphere_change import change_ionosphere
 from rtkmesh.rtk.matching import census
 from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, new_memory
@@ -85,6 +86,7 @@ class Rtk:
         self._absurd = 0
         self._was_fixed = False
         self._klobuchar: KlobucharParameters | None = None
+        self._ephemerides = no_ephemerides()  # that what the filters remember was modelled with
         self._point = self._point_setup(None)
         self._use(setup_of(options))
         self._motion = _motion_of(options)
@@ -194,9 +196,10 @@ class Rtk:
             self._klobuchar, self._point = klobuchar, self._point_setup(klobuchar)
         issues, base_single, self._satellites = ephemerides.issues, None, None
         single = locate_epoch(rover, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
-        if self._state is not None and before is not self._point.klobuchar:
-            places_ecef_m, time = (self._state.rover_ecef_m, self._state.base_ecef_m), (rover.time.week, rover.time.tow_s)
-            change_ionosphere(self._state.filter, single, issues.channel, time, places_ecef_m, before, self._point.klobuchar)
+        if are_new(single.rows, single.satellites, self._ephemerides):
+            self._change_ephemerides(single)
+        if before is not self._point.klobuchar:
+            self._change_ionosphere(rover.time, single, issues.channel, before)
         self._single = single
         self._rates[0].learn(rover.time, single.quality)
         if self._is_single:
@@ -234,6 +237,23 @@ class Rtk:
             systems=o.systems, elevation_mask_rad=min(o.elevation_mask_rad, 0.175), cn0_mask_dbhz=o.cn0_mask_dbhz, klobuchar=klobuchar,
             excluded=o.excluded,
         ))  # fmt: skip
+
+    def _change_ephemerides(self, single: Located) -> None:
+        """Let what the filters remember of phases be less the models of this epoch's ephemerides."""
+        state, known = self._state, self._ephemerides
+        if state is not None:
+            clock, places_ecef_m = (state.origin.week, state.origin.tow_s, self._sense), (state.rover_ecef_m, state.base_ecef_m)
+            for f in (state.filter, state.informed):
+                change_ephemerides(f.keys, f.history, single.rows, single.satellites, known, clock, *places_ecef_m)
+        learn_ephemerides(single.rows, single.satellites, known)
+
+    def _change_ionosphere(self, time: GpsTime, single: Located, channel: NDArray[np.int8], before: Vector) -> None:
+        """Let what the filters remember of phases be less the model of the newest Klobuchar coefficients in place of those ``before``."""
+        state = self._state
+        if state is not None:
+            places_ecef_m = state.rover_ecef_m, state.base_ecef_m
+            for f in (state.filter, state.informed):
+                change_ionosphere(f, single, channel, (time.week, time.tow_s), places_ecef_m, before, self._point.klobuchar)
 
     def _obstacle(self, rover: Epoch, base: Epoch | None, base_position_ecef_m: Vector | None) -> Reason | None:
         """Return why there can be no relative solution; None where there can."""

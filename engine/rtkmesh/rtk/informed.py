@@ -127,9 +127,7 @@ def with_states(d: Differences, shift_ecef_m: Vector) -> Differences:
         table[k, PHASE] += nearer_m
         if d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
             table[k, CODE_VARIANCE] += _GLONASS_CODE_M**2
-    return Differences(
-        d.pairs, table, d.rover_direction, d.base_direction, d.azimuth_rad, d.issue, d.flagged, d.half_cycle, d.lock_s, d.base_s
-    )
+    return Differences(d.pairs, table, d.rover_direction, d.base_direction, d.azimuth_rad, d.flagged, d.half_cycle, d.lock_s, d.base_s)
 
 
 @kernel_in_place

@@ -128,7 +128,7 @@ class Pairing:
     _base_arrived_s: float = -inf
     _first_rover_s: float = inf
     _reorder_wait_s: float = _FIRST_REORDER_WAIT_S
-    _orderly: int = 0
+    _orderly: int = 0  # base epochs in order since one came late, anew or again: one that comes again may be forgotten
     _gaps_s: deque[float] = field(default_factory=lambda: deque[float](maxlen=_CADENCE_GAPS))  # the newest gaps between base epochs
     _longest_s: float = -inf  # the slowest cadence that a base epoch came with
 
@@ -164,8 +164,10 @@ class Pairing:
         """Take a base epoch that arrived at ``now_s``."""
         self._base_order += 1
         self._base_arrived_s = now_s
-        if self._match(epoch.time, inf) is not None:
+        known = self._match(epoch.time, inf)
+        if known is not None:
             self.counters.base_duplicates += 1
+            self._orderly = self._orderly if known is self._bases[-1].epoch else 0
             return
         base = _Base(epoch, self._base_order, now_s)
         if self._bases and epoch.time < self._bases[-1].epoch.time:
@@ -221,13 +223,14 @@ class Pairing:
         if not self._rovers:
             return None
         waiting = self._rovers[0]
-        found, base, later = self._decide(waiting, now_s)
+        cut = self._cut(waiting.epoch.time) if self.options.replay else inf
+        found, base, later = self._decide(waiting, cut, now_s)
         if not found:
             return None
         self._rovers.popleft()
         self._last_solved = waiting.epoch.time
         self._count(waiting, base)
-        self._forget(waiting.epoch.time)
+        self._forget(waiting.epoch.time, cut)
         waited_s = 0.0 if self.options.replay else max(0.0, now_s - waiting.arrived_s)
         return Pair(waiting.epoch, base, waiting.order, waited_s, later)
 
@@ -250,12 +253,14 @@ class Pairing:
         self._bases.clear()
         self._gaps_s.clear()
 
-    def _decide(self, waiting: _Waiting, now_s: float) -> tuple[bool, Epoch | None, Epoch | None]:
-        """Return (whether waiting is over, base epoch, the one after the rover's where both may be interpolated)."""
+    def _decide(self, waiting: _Waiting, cut: float, now_s: float) -> tuple[bool, Epoch | None, Epoch | None]:
+        """Return (whether waiting is over, base epoch, the one after the rover's where both may be interpolated).
+
+        Base epochs beyond ``cut`` in the stream came too late.
+        """
         options, time = self.options, waiting.epoch.time
         if not options.has_base:
             return True, None, None
-        cut = self._cut(time) if options.replay else inf
         match = self._match(time, cut)
         if match is not None:
             return True, match, None
@@ -369,9 +374,15 @@ class Pairing:
         else:
             self.counters.unmatched += 1
 
-    def _forget(self, time: GpsTime) -> None:
-        """Drop base epochs that no later rover epoch can use, but keep the newest of them and what the cadence needs."""
-        old = bisect_right(self._bases, time, key=_time_of)
-        surplus = min(old - 1, len(self._bases) - _CADENCE_GAPS - 1)
+    def _forget(self, time: GpsTime, cut: float) -> None:
+        """Drop base epochs that no later rover epoch can use, but keep what the cadence needs.
+
+        They are those before the newest one that came in time for this rover epoch, for it came in time for later ones too. One that came
+        too late for this one may be too late for the next as well.
+        """
+        newest = bisect_right(self._bases, time, key=_time_of) - 1
+        while newest >= 0 and self._bases[newest].order > cut:
+            newest -= 1
+        surplus = min(newest, len(self._bases) - _CADENCE_GAPS - 1)
         if surplus > 0:
             del self._bases[:surplus]

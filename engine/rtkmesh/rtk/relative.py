@@ -19,7 +19,7 @@ from rtkmesh.rtk.calm import is_atmospheric
 from rtkmesh.rtk.code_arcs import since_seen
 from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import Motion, Settled, Use, begin_informed, settle
-from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
+from rtkmesh.rtk.integrity import Guard, IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SHARE, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
@@ -27,13 +27,13 @@ from rtkmesh.rtk.predicted import learn_fix, share_of_step, spread
 from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution, describe_slopes
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, observe
-from rtkmesh.rtk.separation import codes_alone
+from rtkmesh.rtk.separation import Codes, codes_alone
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
 from rtkmesh.rtk.slips import SLOW_S, SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.time_differences import unit_variance_m2
-from rtkmesh.rtk.update import update
-from rtkmesh.rtk.validation import TOO_RISKY, TOO_UNCERTAIN, decide, fix, is_clear, not_resolved, withheld
+from rtkmesh.rtk.update import Layout, Update, update
+from rtkmesh.rtk.validation import TOO_RISKY, TOO_UNCERTAIN, Resolution, decide, fix, is_clear, not_resolved, withheld
 from rtkmesh.rtk.walk import WALK_COFACTOR, WALK_FREEDOM, WALK_M, WALK_S, WALK_SQUARES_M2
 
 Vector = NDArray[np.float64]
@@ -122,6 +122,17 @@ class Look(NamedTuple):
     level: float
 
 
+class Updated(NamedTuple):
+    """A filter updated by an epoch: what by, how that went, what the codes say alone, and the baseline (m) that all is modelled at."""
+
+    f: Filter
+    d: Differences
+    layout: Layout
+    outcome: Update
+    codes: Codes
+    modelled_m: Vector
+
+
 class Solved(NamedTuple):
     """What came of a pair of epochs: SOLVED, FEW_COMMON, NOT_FINITE or UNCLEAR (no such integers as are wanted); the filter and the
     informed one; dynamic states and their covariance; the row of figures and the satellite table as ``report`` has them; the covariance of
@@ -191,14 +202,20 @@ def differences_of(
 
 
 @kernel
+def unsolved(status: int, f: Filter, informed: Filter) -> Solved:
+    """Return what there is of an epoch without a solution: why, and its filters."""
+    return Solved(status, f, informed, f.x, f.P, np.zeros(FIGURES), np.zeros((0, 0)), f.P)
+
+
+@kernel
 def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
     """Return the relative solution of single differences: the steps of an epoch."""
-    figures, time_s, model_ecef_m = np.zeros(FIGURES), known.times_s[0], known.base_ecef_m + before.x[:3]
+    time_s, step_s, model_ecef_m = known.times_s[0], known.times_s[0] - known.times_s[2], known.base_ecef_m + before.x[:3]
     coded = scratch_flags(len(d.table))
     for k in range(len(coded)):
         coded[k] = isfinite(d.table[k, CODE])
     if distinct(d.pairs.satellite, coded) < 4:
-        return Solved(FEW_COMMON, before, informed, before.x, before.P, figures, np.zeros((0, 0)), before.P)
+        return unsolved(FEW_COMMON, before, informed)
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     atmospheric = is_atmospheric(length_m, d.pairs.satellite)
     far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
@@ -208,58 +225,81 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     arranged = lay_out(before, d, since_s, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
     f, layout = arranged.filter, arranged.layout
     _note_walk(known, arranged, model_ecef_m, setup.slip)
-    known.memory[SHARE] = share_of_step(time_s - known.times_s[2])
+    known.memory[SHARE] = share_of_step(step_s)
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     if not outcome.ok or not is_finite(f.x, f.P):
-        return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
+        return unsolved(NOT_FINITE, f, informed)
     remember(f, d, layout, outcome.phase_used, time_s)
+    look = _look_of(known, setup, length_m, atmospheric, far)
+    candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
+    wanted = isfinite(known.least_odds)
+    if wanted and not look.far and not is_clear(f, candidates, known.memory, setup.resolve, look.level, known.least_odds):
+        return unsolved(UNCLEAR, f, informed)
+    codes = codes_alone(d, outcome.code_used, known.scale, model_ecef_m)
+    updated = Updated(f, d, layout, outcome, codes, model_ecef_m - known.base_ecef_m)
+    float_scale = float_factor(f, d, layout, codes, known.scale, setup.ambiguity_walk_cyc, step_s, updated.modelled_m)
+    if not setup.resolving:
+        return _published(updated, informed, not_resolved(), False, float_scale, look, known, setup)
+    motion = Motion(known.times_s, expected, updated.modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
+    settled = _find_integers(f, informed, d, candidates, known, setup, look, motion)
+    resolution, informed = settled.resolution, settled.informed
+    sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
+    if wanted and (not resolution.fixed or resolution.odds < known.least_odds):
+        return unsolved(UNCLEAR, f, informed)
+    if sure:
+        squares = (outcome.phase_chi2 + settled.norm) * phase_factor(known.scale)
+        learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
+    return _published(updated, informed, resolution, sure, float_scale, look, known, setup)
+
+
+@kernel
+def _look_of(known: Known, setup: Setup, length_m: float, atmospheric: bool, far: bool) -> Look:
+    """Return how integers are looked for in this epoch."""
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
     level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
-    candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
-    wanted = isfinite(known.least_odds)
-    if wanted and not far and not is_clear(f, candidates, known.memory, setup.resolve, level, known.least_odds):
-        return Solved(UNCLEAR, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
-    modelled_m, step_s = model_ecef_m - known.base_ecef_m, time_s - known.times_s[2]
-    codes = codes_alone(d, outcome.code_used, known.scale, model_ecef_m)
-    float_scale = float_factor(f, d, layout, codes, known.scale, setup.ambiguity_walk_cyc, step_s, modelled_m)
-    sure = False
-    if not setup.resolving:
-        resolution = not_resolved()
-    else:
-        motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
-        look = Look(far, atmospheric and not far, length_m, sharper, level)
-        settled = _find_integers(f, informed, d, candidates, known, setup, look, motion)
-        resolution, informed = settled.resolution, settled.informed
-        sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
-        if wanted and (not resolution.fixed or resolution.odds < known.least_odds):
-            return Solved(UNCLEAR, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
-        if sure:
-            squares = (outcome.phase_chi2 + settled.norm) * phase_factor(known.scale)
-            learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
+    return Look(far, atmospheric and not far, length_m, sharper, level)
+
+
+@kernel
+def _published(
+    u: Updated, informed: Filter, resolution: Resolution, sure: bool, float_scale: float, look: Look, known: Known, setup: Setup
+) -> Solved:
+    """Return the solution of an epoch: the fix, if it is neither vague nor too risky, else the float solution; and what is said of it."""
+    f, d, layout, outcome = u.f, u.d, u.layout, u.outcome
+    published, held = resolution.P, held_satellites(f, d, layout)
     if resolution.fixed:
         learn_fix(known.prediction, resolution.x, known.memory[SHARE])
-    published, held = resolution.P, held_satellites(f, d, layout)
     if resolution.fixed and len(informed.keys) == 0:
-        published = fix_covariance(f, d, layout, outcome, resolution.P / sharper, known.scale, sure, known.base_ecef_m, modelled_m)
-        if is_vague(published, level, held[0]):
+        alike = resolution.P / look.sharper
+        published = fix_covariance(f, d, layout, outcome, alike, known.scale, sure, known.base_ecef_m, u.modelled_m)
+        if is_vague(published, look.level, held[0]):
             resolution = withheld(resolution, TOO_UNCERTAIN)
-    guarded = guard(f, d, layout, outcome, codes, resolution, held, known.scale, known.memory, setup.integrity, level, modelled_m)
+    guarded = _guarded(u, resolution, held, look, known, setup)
     if resolution.fixed and guarded.wrong > setup.failure_rate:
         resolution = withheld(resolution, TOO_RISKY)
-        guarded = guard(f, d, layout, outcome, codes, resolution, held, known.scale, known.memory, setup.integrity, level, modelled_m)
+        guarded = _guarded(u, resolution, held, look, known, setup)
+    figures = np.zeros(FIGURES)
     describe_resolution(resolution, figures)
     describe_fit(d, layout, outcome, figures)
     describe_guard(guarded, resolution.odds, figures)
     describe_slopes(known.memory, figures)
-    satellites = describe_pairs(f, d, layout, outcome, resolution.fixed, time_s)
+    satellites = describe_pairs(f, d, layout, outcome, resolution.fixed, known.times_s[0])
     if not resolution.fixed:
         P = f.P[:DYNAMIC, :DYNAMIC].copy()
         return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), P, figures, satellites, float_scale * P[:3, :3])
     if len(informed.keys) > 0 and len(setup.antennas) == 0:
         published = far_covariance(resolution.P, known.base_ecef_m, resolution.x[:3])
     return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published)
+
+
+@kernel
+def _guarded(u: Updated, resolution: Resolution, held: tuple[int, int], look: Look, known: Known, setup: Setup) -> Guard:
+    """Return what integrity says of the solution."""
+    return guard(
+        u.f, u.d, u.layout, u.outcome, u.codes, resolution, held, known.scale, known.memory, setup.integrity, look.level, u.modelled_m
+    )
 
 
 @kernel

@@ -14,7 +14,7 @@ from rtkmesh.gnss.constants import GPS_L1_HZ, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP, Signals
 from rtkmesh.gnss.signals import GLONASS, NO_CHANNEL, band_of, carrier_hz, system_of
 from rtkmesh.models.antenna import antenna_correction_m, carrier_place, pattern_of
-from rtkmesh.models.ephemeris_table import IODE, KIND, NO_EPHEMERIS, ROW, TOE_TOW, TOE_WEEK
+from rtkmesh.models.ephemeris_table import KIND, NO_EPHEMERIS, ROW
 from rtkmesh.models.geometry import AZIMUTH, E_X, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_geometry
 from rtkmesh.models.orbit import LONGEST_RANGE_M, SHORTEST_RANGE_M, STATE, STATE_CLOCK, STATE_OK, satellite_states
 from rtkmesh.models.single import Located
@@ -186,9 +186,9 @@ def receiver_words(
 class Differences(NamedTuple):
     """The single differences of one pair of epochs; all columns go with ``pairs``.
 
-    ``table`` is of ``single_differences``; directions are unit vectors receiver to satellite; ``issue`` changes with the issue of the
-    ephemeris; ``flagged`` (n x 2) says that the rover or the base reports a slip; ``half_cycle`` that either has its half cycles open;
-    ``lock_s`` (n x 2) are rover's and base's; ``base_s`` is the time of the base epoch (on the filter's clock).
+    ``table`` is of ``single_differences``; directions are unit vectors receiver to satellite; ``flagged`` (n x 2) says that the rover or
+    the base reports a slip; ``half_cycle`` that either has its half cycles open; ``lock_s`` (n x 2) are rover's and base's; ``base_s`` is
+    the time of the base epoch (on the filter's clock).
     """
 
     pairs: Pairs
@@ -196,7 +196,6 @@ class Differences(NamedTuple):
     rover_direction: Matrix
     base_direction: Matrix
     azimuth_rad: Vector
-    issue: Vector
     flagged: NDArray[np.bool_]
     half_cycle: NDArray[np.bool_]
     lock_s: Matrix
@@ -249,15 +248,14 @@ def observe(
         index, pairs.likeness, wavelength_m, channels, out, base_out, words, base_words, geometry, base_geometry, conditions.mask_rad,
         conditions.noise, table,
     )  # fmt: skip
-    direction, columns = np.empty((2, n, 3)), np.empty((3, n))
-    issue, azimuth_rad, base_s = columns[0], columns[1], columns[2]
+    direction, columns = np.empty((2, n, 3)), np.empty((2, n))
+    azimuth_rad, base_s = columns[0], columns[1]
     for k in range(n):
         s = index[k]
         for i in range(3):
             direction[0, k, i], direction[1, k, i] = geometry[s, E_X + i], base_geometry[s, E_X + i]
-        issue[k] = rows[s, TOE_WEEK] * 1.0e6 + rows[s, TOE_TOW] + rows[s, IODE] * 1e-3
         azimuth_rad[k], base_s[k] = geometry[s, AZIMUTH], conditions.base_s
-    return Differences(pairs, table, direction[0], direction[1], azimuth_rad, issue, flagged, half_cycle, lock_s, base_s)
+    return Differences(pairs, table, direction[0], direction[1], azimuth_rad, flagged, half_cycle, lock_s, base_s)
 
 
 @kernel_in_place

@@ -22,7 +22,6 @@ from rtkmesh.rtk.state import (
     BASE_LOCK_S,
     BASE_M,
     BASE_S,
-    ISSUE,
     ROVER_LOCK_S,
     ROVER_M,
     ROVER_S,
@@ -156,8 +155,6 @@ def _compare(d: Differences, history: Matrix, place: Indices, times_s: Vector, t
         h = history[place[k]]
         out.rover_threshold_m[k] = threshold_cyc * d.table[k, WAVELENGTH] + drift_m * out.rover_dt_s
         out.base_threshold_m[k] = threshold_cyc * d.table[k, WAVELENGTH] + DRIFT_MPS * out.base_dt_s
-        if h[ISSUE] != d.issue[k]:
-            continue
         if h[ROVER_S] == times_s[2]:
             out.rover_m[k] = d.table[k, ROVER_PHASE] - h[ROVER_M]
         if h[BASE_S] == times_s[3] and d.base_s[k] == times_s[1] and out.base_dt_s > 0.0:
@@ -357,7 +354,7 @@ def _judge_return(
     if gap_s > longest_s:
         verdicts.slip[k] = LOST
         return
-    jump_m, known = np.nan, tested.redundancy >= REPAIR_REDUNDANCY and h[ISSUE] == d.issue[k] and d.base_s[k] == times_s[1]
+    jump_m, known = np.nan, tested.redundancy >= REPAIR_REDUNDANCY and d.base_s[k] == times_s[1]
     if known:
         jump_m = d.table[k, ROVER_PHASE] - h[ROVER_M] - d.table[k, BASE_PHASE] + h[BASE_M]
         jump_m -= predicted_change_m(d.rover_direction, k, h[AWAY_ROVER : AWAY_ROVER + STEP] + tested.rover.step_m)

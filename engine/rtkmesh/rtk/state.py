@@ -23,19 +23,19 @@ SLOPE_KEYS: Final = (MAX_SATELLITE + 1, MAX_SATELLITE + 2)  # of GLONASS phases 
 FIRST_PAIR_KEY: Final = KEYS_PER_SATELLITE  # below: zenith delay, ionospheres (satellite numbers) and their excess, GLONASS slopes
 
 # Columns of the history, one row per key; times in seconds since the filter's origin, unknown is NaN. ROVER_M and BASE_M are the last
-# phases minus model (m), ISSUE the ephemeris they were made with; ARC_EPOCHS counts epochs since the ambiguity was begun anew, REJECTS
-# those in a row in which its phase did not fit; INTEGER is the held integer (cycles, common offset per group), NaN where none.
-# STREAK is what the last search said (0 for a group's reference), NaN where it was not in the search. HALF_CYC is 0.5 while the phase is
-# half a cycle off the integer that it had. TAKEN_M is the mean of code errors that the ambiguity has taken, TAKEN_M2 (m2) what the filter
-# believes of its variance (``code_errors``). From AWAY_ROVER and AWAY_BASE on are the steps (m; displacement and clock) of the receivers
-# since the satellite was seen. In the row of an ionosphere USUAL_M is its usual size.
+# phases minus model (m; ``ephemeris_change`` and ``ionosphere_change`` keep them those of the newest models); ARC_EPOCHS counts epochs
+# since the ambiguity was begun anew, REJECTS those in a row in which its phase did not fit; INTEGER is the held integer (cycles, common
+# offset per group), NaN where none. STREAK is what the last search said (0 for a group's reference), NaN where it was not in the search.
+# HALF_CYC is 0.5 while the phase is half a cycle off the integer that it had. TAKEN_M is the mean of code errors that the ambiguity has
+# taken, TAKEN_M2 (m2) what the filter believes of its variance (``code_errors``). From AWAY_ROVER and AWAY_BASE on are the steps (m;
+# displacement and clock) of the receivers since the satellite was seen. In the row of an ionosphere USUAL_M is its usual size.
 (
-    SEEN_S, ROVER_S, BASE_S, ROVER_M, BASE_M, ROVER_LOCK_S, BASE_LOCK_S, ISSUE, ARC_EPOCHS, REJECTS, SLIPS, INTEGER, ARC_S, STREAK,
-    HALF_CYC, TAKEN_M, TAKEN_M2,
-) = range(17)  # fmt: skip
+    SEEN_S, ROVER_S, BASE_S, ROVER_M, BASE_M, ROVER_LOCK_S, BASE_LOCK_S, ARC_EPOCHS, REJECTS, SLIPS, INTEGER, ARC_S, STREAK, HALF_CYC,
+    TAKEN_M, TAKEN_M2,
+) = range(16)  # fmt: skip
 USUAL_M: Final = TAKEN_M
 STEP: Final = 4
-AWAY_ROVER: Final = 17
+AWAY_ROVER: Final = 16
 AWAY_BASE: Final = AWAY_ROVER + STEP
 HISTORY: Final = AWAY_BASE + STEP
 DYNAMIC: Final = 9  # baseline, velocity, acceleration come before the keyed states

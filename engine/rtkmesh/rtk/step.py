@@ -12,8 +12,7 @@ from rtkmesh.models.single import Located, Plain
 from rtkmesh.models.single_adjustment import CONVERGED
 from rtkmesh.rtk.bookkeeping import Motion, advance, seed
 from rtkmesh.rtk.crossing import named, unnamed
-from rtkmesh.rtk.relative import SOLVED, UNCLEAR, Known, Setup, Solved, solve_pair, walks_of
-from rtkmesh.rtk.report import FIGURES
+from rtkmesh.rtk.relative import SOLVED, UNCLEAR, Known, Setup, solve_pair, unsolved, walks_of
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, SEED_MOVING, Filter
 
 Vector = NDArray[np.float64]
@@ -57,7 +56,7 @@ def take_step(
     step = Step(way[0], way[1], way[2], way[3], way[4], way[5], way[6], Motion(*way[7]))
     informed, moved = move_on(f, informed, located, step, known, setup)
     if not moved:
-        return unnamed(Solved(ASTRAY, f, informed, f.x, f.P, np.zeros(FIGURES), np.zeros((0, 0)), f.P))
+        return unnamed(unsolved(ASTRAY, f, informed))
     model_ecef_m = known.base_ecef_m + f.x[:3]
     solved = solve_pair(f, informed, rover, base, located, channel, klobuchar, known, setup)
     if solved.status == SOLVED:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratch_indices, scratch_table
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
-from rtkmesh.rtk.acceptance import FAR_M, log_space, search_all, try_new
+from rtkmesh.rtk.acceptance import FAR_M, Question, log_space, search_all, try_new
 from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_unsafe, stands_alone
 from rtkmesh.rtk.ambiguity import (
     Candidates,
@@ -140,7 +140,8 @@ def decide(
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
     aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
-        try_new(f, aided, helped, candidates, everything, free, memory, setup, time_s, asked, asked_of_told, is_reflected(level))
+        question = Question(f, aided, helped, candidates, everything, free, asked, asked_of_told, is_reflected(level))
+        try_new(question, memory, setup, time_s)
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
         learn_glonass(f, everything, held, memory, setup)

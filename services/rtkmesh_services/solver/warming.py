@@ -14,6 +14,7 @@ from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.rtk.session import EndOfStream, Session, SessionOptions, Source, pairing_for
 from rtkmesh.simulation.scenario import open_stream
+from rtkmesh.simulation.sky import KLOBUCHAR
 from rtkmesh_services.mapping.solution import model_zenith_m
 
 EPOCHS = 4
@@ -24,7 +25,7 @@ START = GpsTime(2400, 3600.0)
 def warm_engine() -> None:
     """Solve a few simulated epochs in the modes that use different kernels; the second time nothing is left to do."""
     rover, heading, base = (simulated_messages(antenna) for antenna in ("rover", "heading", "base"))
-    solve(Mode.KINEMATIC, rover, base)
+    solve(Mode.KINEMATIC, with_coefficients(rover), base)
     solve(Mode.KINEMATIC, rover, in_parts(base))
     solve(Mode.MOVING_BASE, heading, rover)
     model_zenith_m(np.array((6.4e6, 0.0, 0.0)))
@@ -36,6 +37,12 @@ def simulated_messages(antenna: str) -> list[Message]:
     stream = open_stream("demo", antenna, seed=1, rate_hz=5.0, start=START)
     decoded = [part for epoch in islice(stream.epochs(), EPOCHS) for part in decoder.feed(epoch.data)]
     return [message for _, messages in decoded for message in messages] + decoder.flush()
+
+
+def with_coefficients(messages: list[Message]) -> list[Message]:
+    """Return the messages with coefficients of the ionosphere before the last epoch: a receiver sends them when a filter is running."""
+    last = [k for k, message in enumerate(messages) if isinstance(message, Epoch)][-1]
+    return [*messages[:last], KLOBUCHAR, *messages[last:]]
 
 
 def in_parts(messages: list[Message]) -> list[Message]:
