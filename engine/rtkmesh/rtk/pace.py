@@ -280,6 +280,7 @@ def _tried(x: Vector, P: Matrix, memory: Vector, told: Told, known: tuple[float,
     _place_noise(told.walk, known[2], memory[FIRST], R)
     _set_standing(desk)
     sway = max(memory[SWAY_CHI2] / memory[SWAY_FREEDOM], 1.0) if has[0] else 1.0
+    share = min(dt / FULL_STEP_S, 1.0)  # that it stands is asked once a second, at any rate
     predict_motion(x, P, dt, DECAY_S, desk.S)
     for k in range(count):
         state, cov = states[k], covs[k * _STATES : (k + 1) * _STATES]
@@ -290,7 +291,7 @@ def _tried(x: Vector, P: Matrix, memory: Vector, told: Told, known: tuple[float,
         _disturb(cov, dt, MOTIONS[k] * known[1])
         weight[k] = log(memory[k] + (1.0 - exp(-dt / CHANGE_S)) * (1.0 / count - memory[k]))
         if k >= MOVING:
-            weight[k] -= 0.5 * _misfit(state, cov, _VELOCITY, desk.nothing, desk.slow, desk)[0]
+            weight[k] -= 0.5 * share * _misfit(state, cov, _VELOCITY, desk.nothing, desk.slow, desk)[0]
         if has[0]:
             weight[k] += _observe(state, cov, _PLACE, place_m, R, (k == 0, 1.0), desk)[1]
         if has[1]:
