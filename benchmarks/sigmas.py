@@ -9,8 +9,9 @@ antenna phase centres differ (*) or that the truth is such a mean (†). Floats 
 A float's error stays: a whole recording without integers is one sample of three numbers, whose mean is 0.1 to 2.6 (90 %) if all is honest.
 So on recordings floats begin anew every 150 s (or 20 epochs), as long as simulated runs are. Velocities are those of all epochs with a
 relative solution, whatever its status; recordings stand still, but are solved as if they moved; simulated rovers are also solved at 5 Hz,
-and at 1 Hz without their Dopplers. E, N, U: root mean square of error over sigma per axis. Errors of neighbouring epochs hang together:
-behind the mean of all is its standard error, as the means of runs and pieces scatter.
+and at 1 Hz without their Dopplers. Recorded rovers that move are solved without Dopplers and held against these, where they are faster
+than a half metre per second; covariance and error are then those of both. E, N, U: root mean square of error over sigma per axis. Errors
+of neighbouring epochs hang together: behind the mean of all is its standard error, as the means of runs and pieces scatter.
 
 Where a mean is the truth or is taken away, what lasts as long as the recording is not seen, and the mean to expect is not 1 but the share
 of the phases' squared errors (with whole cycles, without GLONASS) that is left when each signal's own mean is taken away.
@@ -38,7 +39,7 @@ from families import FAMILIES, Family
 from results import table
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.frames import enu_from_ecef_at
-from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
+from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
 from simulated import WRONG_M, Simulated, solve
 
@@ -63,6 +64,8 @@ RECORDED: Final = {
     "galway_a_glw1": "†",
     "nl_35km": "*",
 }
+MOVERS: Final = ("galway_b_walk", "umea_r001", "yamatogawa_walk")  # walkers and a machine in a forest, with Dopplers
+MOVING_MPS: Final = 0.5  # slower ones stand in part
 QUICK: Final = ("tokyo_static_l1gps", "kanagawa_60s")
 COLUMNS: Final = (
     "data",
@@ -181,6 +184,19 @@ def of_recorded_velocities(case: Case) -> Errors:
     return velocity_errors([s for s in found if _tells_velocity(s)], np.zeros(3))
 
 
+def of_mover(case: Case) -> Errors:
+    """Return the errors of a recorded rover's velocities without Dopplers against those by its Dopplers alone, with both covariances."""
+    scene = slips.recorded(case.name, case)
+    by_doppler = slips.solve(replace(scene, options=replace(scene.options, mode=Mode.SINGLE)), scene.rover)
+    found = slips.solve(scene, [_without_dopplers(epoch) for epoch in scene.rover])
+    pairs = [(s, by_doppler[time]) for time, s in found.items() if time in by_doppler and _tells_velocity(s)]
+    moving = [(s, other) for s, other in pairs if np.linalg.norm(other.velocity_ecef_mps) > MOVING_MPS]
+    apart = [
+        (s.velocity_ecef_mps - other.velocity_ecef_mps, s.velocity_cov_ecef_m2ps2 + other.velocity_cov_ecef_m2ps2) for s, other in moving
+    ]
+    return _in_horizon(apart, np.zeros(3), [s for s, _ in moving])
+
+
 def of_recording(case: Case, offset: str, mode: AmbiguityMode) -> tuple[Errors, int]:
     """Return the errors of right fixes or of floats of a static pair, and how many fixes were left out as wrong."""
     options = RtkOptions(systems=case.systems, frequencies=case.frequencies)
@@ -242,6 +258,8 @@ def measured(data: Path | None, runs: int, seed: int, names: Sequence[str], kind
             yield {"data": f"{case.name}{RECORDED[case.name]}", "kind": title, "left_out": wrong} | row
         if VELOCITIES in kinds:
             yield {"data": case.name, "kind": "velocity"} | figures(of_recorded_velocities(case))
+    for case in load(data, list(MOVERS)) if data and VELOCITIES in kinds else []:
+        yield {"data": case.name, "kind": "velocity without Dopplers, against these"} | figures(of_mover(case))
 
 
 def page(rows: Sequence[Row]) -> str:
