@@ -100,17 +100,36 @@ def test_simulated_velocities(sigmas: ModuleType, name: str, rate_hz: int, doppl
     assert bounds[0] < found["mean"] < bounds[1]
 
 
+# Recording, and bounds of the mean of its velocities. Behind them 1.28, 0.51 (60 epochs), 0.85, 1.04, 1.21 and 1.16; before a rest showed
+# how good walks are 0.39, 0.48, 0.32, 1.44, 0.81 and 0.18.
+STANDING = [
+    ("tokyo_static_l1gps", (0.7, 1.5)),
+    ("kanagawa_60s", (0.3, 1.5)),
+    ("geonet_2005", (0.5, 1.5)),
+    ("stromlo_l12", (0.7, 1.4)),
+    ("galway_a_glw1", (0.9, 1.5)),
+    ("nl_35km", (0.7, 1.5)),
+]
+
+
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize(
-    ("name", "bounds"), [("tokyo_static_l1gps", (0.25, 1.5)), ("kanagawa_60s", (0.3, 1.5)), ("geonet_2005", (0.1, 1.5))]
-)
+@pytest.mark.parametrize(("name", "bounds"), STANDING)
 def test_recorded_velocities(sigmas: ModuleType, data: Path, name: str, bounds: tuple[float, float]):
-    """Survey receivers that stand still, the last two without Dopplers, the last one at 30 s: millimetres per second, and told so."""
+    """Receivers that stand still, most without Dopplers, two at 30 s: millimetres per second, and told so."""
     found = sigmas.figures(sigmas.of_recorded_velocities(sigmas.load(data, [name])[0]))
     assert bounds[0] < found["mean"] < bounds[1]
     assert found["sigma_m"] < 0.005
-    assert found["error_m"] < 0.003
+    assert found["error_m"] < 0.004
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_a_recorded_walk(sigmas: ModuleType, data: Path):
+    """Without Dopplers a walker's sway is told, or nearly: what comes and goes between two epochs is not overlooked. (1.59.)"""
+    found = sigmas.figures(sigmas.of_mover(sigmas.load(data, ["galway_b_walk"])[0]))
+    assert found["number"] > 200
+    assert 0.7 < found["mean"] < 2.0
 
 
 def test_the_measure_itself_is_one_for_errors_as_large_as_claimed(sigmas: ModuleType):
