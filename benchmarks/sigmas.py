@@ -9,8 +9,12 @@ antenna phase centres differ (*) or that the truth is such a mean (†). Floats 
 A float's error stays: a whole recording without integers is one sample of three numbers, whose mean is 0.1 to 2.6 (90 %) if all is honest.
 So on recordings floats begin anew every 150 s (or 20 epochs), as long as simulated runs are. Velocities are those of all epochs with a
 relative solution, whatever its status; recordings stand still, but are solved as if they moved; simulated rovers are also solved at 5 Hz,
-and at 1 Hz without their Dopplers. E, N, U: root mean square of error over sigma per axis. Errors of neighbouring epochs hang together: the
-mean is as good as a few dozens of independent ones.
+and at 1 Hz without their Dopplers. Recorded rovers that move are solved without Dopplers and held against these, where they are faster
+than a half metre per second; covariance and error are then those of both. E, N, U: root mean square of error over sigma per axis. Errors
+of neighbouring epochs hang together: behind the mean of all is its standard error, as the means of runs and pieces scatter.
+
+Where a mean is the truth or is taken away, what lasts as long as the recording is not seen, and the mean to expect is not 1 but the share
+of the phases' squared errors (with whole cycles, without GLONASS) that is left when each signal's own mean is taken away.
 """
 
 import argparse
@@ -25,15 +29,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import kernel_cache  # noqa: F401  first of all
+import pair_errors
 import recorded
 import slips
 from campaign import Rates, simulated_run
 from cases import Case, data_folder, load
+from error_series import Series
 from families import FAMILIES, Family
 from results import table
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.frames import enu_from_ecef_at
-from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
+from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
 from simulated import WRONG_M, Simulated, solve
 
@@ -58,12 +64,15 @@ RECORDED: Final = {
     "galway_a_glw1": "†",
     "nl_35km": "*",
 }
+MOVERS: Final = ("galway_b_walk", "umea_r001", "yamatogawa_walk")  # walkers and a machine in a forest, with Dopplers
+MOVING_MPS: Final = 0.5  # slower ones stand in part
 QUICK: Final = ("tokyo_static_l1gps", "kanagawa_60s")
 COLUMNS: Final = (
     "data",
     "solutions",
     "number",
     "mean",
+    "expected",
     "mean of the lower 95 %",
     "E",
     "N",
@@ -78,14 +87,23 @@ PIECE_EPOCHS: Final = 20  # at least
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """Errors (n, 3) and covariances (n, 3, 3) of solutions, east-north-up, metres or metres per second."""
+    """Errors (n, 3) and covariances (n, 3, 3) of solutions, east-north-up, metres or metres per second; ``parts`` are the numbers of those
+    of each run or piece, where there are several.
+    """
 
     error: Vector
     cov: Vector
+    parts: tuple[int, ...] = ()
 
     def squares(self) -> Vector:
         """Return the normalised errors squared, divided by the number of axes."""
         return np.array([e @ np.linalg.solve(p, e) / 3.0 for e, p in zip(self.error, self.cov, strict=True)])
+
+    def standard_error(self) -> float:
+        """Return that of the mean of the squares, as the means of the parts scatter; NaN of fewer than two."""
+        squares, ends = self.squares(), np.cumsum(self.parts).tolist()
+        means = [float(squares[end - count : end].mean()) for count, end in zip(self.parts, ends, strict=True) if count]
+        return float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else np.nan
 
 
 def errors(solutions: Sequence[Solution], truth_ecef_m: Vector) -> Errors:
@@ -116,6 +134,7 @@ def figures(found: Errors) -> Row:
     return {
         "number": len(squares),
         "mean": float(squares.mean()),
+        "standard_error": found.standard_error(),
         "trimmed": float(squares[: max(1, round(0.95 * len(squares)))].mean()),
         "axes": [float(v) for v in per_axis],
         "sigma_m": float(np.median(np.linalg.norm(sigma_m, axis=1))),
@@ -165,6 +184,19 @@ def of_recorded_velocities(case: Case) -> Errors:
     return velocity_errors([s for s in found if _tells_velocity(s)], np.zeros(3))
 
 
+def of_mover(case: Case) -> Errors:
+    """Return the errors of a recorded rover's velocities without Dopplers against those by its Dopplers alone, with both covariances."""
+    scene = slips.recorded(case.name, case)
+    by_doppler = slips.solve(replace(scene, options=replace(scene.options, mode=Mode.SINGLE)), scene.rover)
+    found = slips.solve(scene, [_without_dopplers(epoch) for epoch in scene.rover])
+    pairs = [(s, by_doppler[time]) for time, s in found.items() if time in by_doppler and _tells_velocity(s)]
+    moving = [(s, other) for s, other in pairs if np.linalg.norm(other.velocity_ecef_mps) > MOVING_MPS]
+    apart = [
+        (s.velocity_ecef_mps - other.velocity_ecef_mps, s.velocity_cov_ecef_m2ps2 + other.velocity_cov_ecef_m2ps2) for s, other in moving
+    ]
+    return _in_horizon(apart, np.zeros(3), [s for s, _ in moving])
+
+
 def of_recording(case: Case, offset: str, mode: AmbiguityMode) -> tuple[Errors, int]:
     """Return the errors of right fixes or of floats of a static pair, and how many fixes were left out as wrong."""
     options = RtkOptions(systems=case.systems, frequencies=case.frequencies)
@@ -189,7 +221,24 @@ def _pieces(case: Case) -> Iterator[list[Solution]]:
 
 def joined(parts: Sequence[Errors]) -> Errors:
     """Return the errors of all parts."""
-    return Errors(np.concatenate([p.error for p in parts]), np.concatenate([p.cov for p in parts]))
+    return Errors(np.concatenate([p.error for p in parts]), np.concatenate([p.cov for p in parts]), tuple(len(p.error) for p in parts))
+
+
+def expected(case: Case) -> float:
+    """Return the normalised squared error to expect of honest fixes whose own mean is the truth."""
+    return share_of_change(pair_errors.of_pair(pair_errors.recorded_pair(case))["phase"])
+
+
+def share_of_change(phases: Sequence[Series]) -> float:
+    """Return which part of squared errors is left without the mean of each signal.
+
+    They are errors about a baseline that fits all epochs best: it has taken its part of what lasts, three of the signals' degrees of
+    freedom (and one for the clock).
+    """
+    total = sum(float(np.sum(s.error_m**2)) for s in phases)
+    changing = sum(float(np.sum(s.without_mean().error_m ** 2)) for s in phases)
+    signals = sum(len(s.error_m) for s in phases) / len({t for s in phases for t in s.time_s.tolist()})
+    return changing / (changing + (total - changing) * (signals - 1.0) / (signals - 4.0))
 
 
 def measured(data: Path | None, runs: int, seed: int, names: Sequence[str], kinds: Sequence[str]) -> Iterator[Row]:
@@ -204,10 +253,13 @@ def measured(data: Path | None, runs: int, seed: int, names: Sequence[str], kind
     for case in load(data, list(names)) if data else []:
         for title, mode in (("fix", AmbiguityMode.CONTINUOUS), ("float", AmbiguityMode.OFF)) if POSITIONS in kinds else ():
             found, wrong = of_recording(case, RECORDED[case.name], mode)
-            row = figures(found)
+            mine = title == "fix" and RECORDED[case.name]
+            row = figures(found) | ({"expected": expected(case)} if mine else {})
             yield {"data": f"{case.name}{RECORDED[case.name]}", "kind": title, "left_out": wrong} | row
         if VELOCITIES in kinds:
             yield {"data": case.name, "kind": "velocity"} | figures(of_recorded_velocities(case))
+    for case in load(data, list(MOVERS)) if data and VELOCITIES in kinds else []:
+        yield {"data": case.name, "kind": "velocity without Dopplers, against these"} | figures(of_mover(case))
 
 
 def page(rows: Sequence[Row]) -> str:
@@ -219,8 +271,10 @@ def _cells(row: Row) -> list[str]:
     if not row["number"]:
         return [row["data"], row["kind"], "0", *[""] * (len(COLUMNS) - 3)]
     kind = row["kind"] + (f", without {row['left_out']} wrong" if row.get("left_out") else "")
-    numbers = [f"{v:.2f}" for v in (row["mean"], row["trimmed"], *row["axes"])]
-    return [row["data"], kind, str(row["number"]), *numbers, f"{row['sigma_m']:.4f}", f"{row['error_m']:.4f}", f"{row['rms_m']:.4f}"]
+    spread = "" if np.isnan(row["standard_error"]) else f" ± {row['standard_error']:.2f}"
+    mean = [f"{row['mean']:.2f}{spread}", f"{row.get('expected', 1.0):.2f}"]
+    numbers = [f"{v:.2f}" for v in (row["trimmed"], *row["axes"])]
+    return [row["data"], kind, str(row["number"]), *mean, *numbers, f"{row['sigma_m']:.4f}", f"{row['error_m']:.4f}", f"{row['rms_m']:.4f}"]
 
 
 def main() -> int:

@@ -100,17 +100,36 @@ def test_simulated_velocities(sigmas: ModuleType, name: str, rate_hz: int, doppl
     assert bounds[0] < found["mean"] < bounds[1]
 
 
+# Recording, and bounds of the mean of its velocities. Behind them 1.28, 0.51 (60 epochs), 0.85, 1.04, 1.21 and 1.16; before a rest showed
+# how good walks are 0.39, 0.48, 0.32, 1.44, 0.81 and 0.18.
+STANDING = [
+    ("tokyo_static_l1gps", (0.7, 1.5)),
+    ("kanagawa_60s", (0.3, 1.5)),
+    ("geonet_2005", (0.5, 1.5)),
+    ("stromlo_l12", (0.7, 1.4)),
+    ("galway_a_glw1", (0.9, 1.5)),
+    ("nl_35km", (0.7, 1.5)),
+]
+
+
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize(
-    ("name", "bounds"), [("tokyo_static_l1gps", (0.25, 1.5)), ("kanagawa_60s", (0.3, 1.5)), ("geonet_2005", (0.1, 1.5))]
-)
+@pytest.mark.parametrize(("name", "bounds"), STANDING)
 def test_recorded_velocities(sigmas: ModuleType, data: Path, name: str, bounds: tuple[float, float]):
-    """Survey receivers that stand still, the last two without Dopplers, the last one at 30 s: millimetres per second, and told so."""
+    """Receivers that stand still, most without Dopplers, two at 30 s: millimetres per second, and told so."""
     found = sigmas.figures(sigmas.of_recorded_velocities(sigmas.load(data, [name])[0]))
     assert bounds[0] < found["mean"] < bounds[1]
     assert found["sigma_m"] < 0.005
-    assert found["error_m"] < 0.003
+    assert found["error_m"] < 0.004
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_a_recorded_walk(sigmas: ModuleType, data: Path):
+    """Without Dopplers a walker's sway is told, or nearly: what comes and goes between two epochs is not overlooked. (1.59.)"""
+    found = sigmas.figures(sigmas.of_mover(sigmas.load(data, ["galway_b_walk"])[0]))
+    assert found["number"] > 200
+    assert 0.7 < found["mean"] < 2.0
 
 
 def test_the_measure_itself_is_one_for_errors_as_large_as_claimed(sigmas: ModuleType):
@@ -123,3 +142,29 @@ def test_the_measure_itself_is_one_for_errors_as_large_as_claimed(sigmas: Module
     assert honest["mean"] == pytest.approx(1.0, abs=0.05)
     assert honest["axes"] == pytest.approx([1.0, 1.0, 1.0], abs=0.05)
     assert sure["mean"] == pytest.approx(4.0, abs=0.2)
+
+
+def test_the_mean_of_runs_is_as_good_as_they_scatter(sigmas: ModuleType):
+    """Errors that stay through a run are one sample of three numbers: 200 runs of ten epochs have the standard error of 600 squares."""
+    rng = np.random.default_rng(2)
+    cov = np.broadcast_to(np.eye(3), (10, 3, 3))
+    runs = [sigmas.Errors(np.tile(rng.standard_normal(3), (10, 1)), cov) for _ in range(200)]
+    found = sigmas.figures(sigmas.joined([*runs, sigmas.Errors(np.empty((0, 3)), np.empty((0, 3, 3)))]))
+    assert found["number"] == 2000
+    assert found["standard_error"] == pytest.approx(np.sqrt(2.0 / 600.0), rel=0.15)
+    assert np.isnan(sigmas.figures(runs[0])["standard_error"])
+
+
+@pytest.mark.parametrize("lasting", [0.0, 1.0, 2.0])
+def test_what_to_expect_of_a_mean_as_truth(sigmas: ModuleType, lasting: float):
+    """Phases whose errors last for a part, seen about the baseline that fits them best on average: the share of what changes."""
+    rng = np.random.default_rng(3)
+    design = np.column_stack([rng.standard_normal((12, 3)), np.ones(12)])
+    left = np.eye(12) - design @ np.linalg.pinv(design)
+    clock = np.eye(12) - np.full((12, 12), 1.0 / 12.0)
+    shares = list[float]()
+    for _ in range(60):
+        stays, changes = lasting * left @ rng.standard_normal(12), rng.standard_normal((400, 12)) @ clock
+        errors = stays + changes - changes.mean(axis=0) @ (np.eye(12) - left)
+        shares.append(sigmas.share_of_change([sigmas.Series(np.arange(400.0), np.ones(400), errors[:, k]) for k in range(12)]))
+    assert np.mean(shares) == pytest.approx(1.0 / (1.0 + lasting**2), abs=0.03)

@@ -2,14 +2,31 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import nan
+from math import hypot, nan, sqrt
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rtkmesh.gnss.time import GpsTime
-from rtkmesh.rtk.pace import EPOCH_PRIOR_DOF, GAP_S, MEMORY, PRIOR_DOF, SIGMA_M, SQUARES_M2, Pace, Told, learn_walk
+from rtkmesh.rtk.pace import (
+    EPOCH_PRIOR_DOF,
+    GAP_S,
+    LAST_M,
+    MEMORY,
+    PRIOR_DOF,
+    REST_CHI2,
+    REST_EXPECTED,
+    REST_FREEDOM,
+    REST_PRIOR_DOF,
+    RESTING,
+    SIGMA_M,
+    SQUARES_M2,
+    Pace,
+    Told,
+    learn_rest,
+    learn_walk,
+)
 from rtkmesh.rtk.walk import WALK_COFACTOR, WALK_FREEDOM, WALK_M, WALK_S, WALK_SQUARES_M2, no_walk
 
 Vector = NDArray[np.float64]
@@ -36,7 +53,10 @@ def braking(time_s: float) -> Vector:
 
 @dataclass(frozen=True)
 class Run:
-    """How a motion is seen: steps, noise as a part of NOISE_M, sigma of Dopplers (m/s; 0: there are none), turned by ``turn``."""
+    """How a motion is seen: steps, noise as a part of NOISE_M, sigma of Dopplers (m/s; 0: there are none), turned by ``turn``.
+
+    ``wander``, as a part of NOISE_M too, is by how much places go astray from epoch to epoch, and do not come back.
+    """
 
     motion: Motion
     step_s: float = 1.0
@@ -45,6 +65,7 @@ class Run:
     seed: int = 1
     sense: float = 1.0
     turn: Matrix | None = None
+    wander: float = 0.0
 
 
 def walk_of(step_s: float, led_m: Vector, cofactor: Matrix, noise: float = 1.0) -> Vector:
@@ -64,13 +85,16 @@ def true_mps(motion: Motion, time_s: float) -> Vector:
 def told_by(run: Run, epochs: int) -> list[tuple[float, Told]]:
     """Times and what is told at them, with the errors of phases and Dopplers drawn."""
     rng, turn = np.random.default_rng(run.seed), np.eye(3) if run.turn is None else run.turn
-    shape, out, before_m = turn @ SHAPE, list[tuple[float, Told]](), np.full(3, nan)
+    shape, out, before_m, astray_m = turn @ SHAPE, list[tuple[float, Told]](), np.full(3, nan), np.zeros(3)
+    residual = hypot(run.noise, run.wander / sqrt(2.0))
     for k in range(epochs):
         time_s = run.sense * k * run.step_s
-        place_m = turn @ run.motion(time_s) + run.noise * NOISE_M * shape @ rng.standard_normal(3)
+        if run.wander:
+            astray_m += run.wander * NOISE_M * shape @ rng.standard_normal(3)
+        place_m = turn @ run.motion(time_s) + astray_m + run.noise * NOISE_M * shape @ rng.standard_normal(3)
         error_mps = run.doppler_mps * shape @ rng.standard_normal(3)
         velocity = turn @ true_mps(run.motion, time_s) + error_mps if run.doppler_mps else np.full(3, nan)
-        walk = walk_of(run.step_s, place_m - before_m, shape @ shape.T, run.noise) if k else no_walk()
+        walk = walk_of(run.step_s, place_m - before_m, shape @ shape.T, residual) if k else no_walk()
         out.append((time_s, Told(walk, velocity, run.doppler_mps**2 * shape @ shape.T)))
         before_m = place_m
     return out
@@ -136,14 +160,62 @@ def test_residuals_of_phases_tell_their_variance():
     assert memory[SQUARES_M2] / memory[SQUARES_M2 + 1] == pytest.approx((PRIOR_DOF * SIGMA_M**2 + 8.0 * 0.02**2) / (PRIOR_DOF + 8.0))
 
 
+def at_rest(last_m: Vector) -> Vector:
+    """A memory of a rest that is certain, and of the last walk."""
+    memory = np.zeros(MEMORY)
+    memory[RESTING], memory[REST_CHI2], memory[REST_FREEDOM] = 1.0, REST_PRIOR_DOF * REST_EXPECTED, REST_PRIOR_DOF
+    memory[LAST_M : LAST_M + 3] = last_m
+    return memory
+
+
+def test_two_walks_at_rest_tell_how_good_they_are():
+    """Their sum, squared, in units of what phases say; there and back again tells of nothing that lasts."""
+    first_m, second_m, cofactor = np.array([0.004, 0.0, 0.001]), np.array([0.002, -0.003, 0.001]), SHAPE @ SHAPE.T
+    chi2 = float((first_m + second_m) @ np.linalg.solve(0.002**2 * cofactor, first_m + second_m))
+    for second, square in ((second_m, chi2), (-first_m, 0.0)):
+        memory = at_rest(first_m)
+        factor = learn_rest(memory, walk_of(1.0, second, cofactor), 0.002**2, 1.0)
+        assert memory[REST_CHI2] == pytest.approx(REST_PRIOR_DOF * REST_EXPECTED + square)
+        assert factor == pytest.approx((REST_PRIOR_DOF * REST_EXPECTED + square) / (REST_EXPECTED * (REST_PRIOR_DOF + 3.0)))
+        assert np.array_equal(memory[LAST_M : LAST_M + 3], second)
+
+
+def test_what_moves_tells_nothing_of_a_rest():
+    """And no factor of a rest is its own."""
+    memory = at_rest(np.full(3, 5.0))
+    memory[REST_CHI2], memory[0], memory[RESTING] = 70.0, 1.0, 0.0
+    assert learn_rest(memory, walk_of(1.0, np.full(3, 5.0), SHAPE @ SHAPE.T), 0.002**2, 1.0) == 1.0
+    assert memory[REST_CHI2] == 70.0
+
+
+def test_a_walk_after_none_is_no_pair():
+    """An epoch without a walk is between them."""
+    memory = at_rest(np.full(3, 0.01))
+    learn_rest(memory, no_walk(), 0.0, 1.0)
+    assert learn_rest(memory, walk_of(1.0, np.full(3, 0.01), SHAPE @ SHAPE.T), 0.002**2, 1.0) == 1.0
+    assert memory[REST_FREEDOM] == REST_PRIOR_DOF
+
+
 # --- drawn: honest ---
 
 
+@pytest.mark.parametrize(("noise", "wander"), [(1.0, 0.0), (1.0, 1.0), (0.3, 1.5)])
+@pytest.mark.parametrize("step_s", [1.0, 30.0])
+def test_what_stands_is_as_sure_as_it_says(step_s: float, noise: float, wander: float):
+    """Whether errors of walks cancel in the next one, or last: clocks of satellites, phases that a receiver smooths."""
+    squares = np.concatenate([misses(Run(standing, step_s, noise, seed=seed, wander=wander), 150, 60) for seed in range(10)])
+    assert 0.5 < squares.mean() < 1.5
+
+
 def test_what_stands_is_known_to_millimetres_per_second():
-    """Within ten seconds; what lasts in phases, of which these have nothing, leaves the sigma larger than the error."""
-    squares = np.concatenate([misses(Run(standing, seed=seed), 60, 10) for seed in range(10)])
-    assert 0.05 < squares.mean() < 1.0
+    """Within ten seconds at 1 Hz, and to tenths of them where epochs are half a minute apart."""
     assert sigma_mps(followed(told_by(Run(standing), 20))[-1]) < 0.005
+    assert sigma_mps(followed(told_by(Run(standing, 30.0), 20))[-1]) < 0.0002
+
+
+def test_more_epochs_make_no_worse_rest():
+    """Half a minute at 5 Hz: that it stands is asked once a second. Asked in every epoch it was taken for a vehicle, at 32 mm/s."""
+    assert sigma_mps(followed(told_by(Run(standing, 0.2), 150))[-1]) < 0.012
 
 
 @pytest.mark.parametrize("doppler_mps", [0.0, 0.05])

@@ -8,7 +8,8 @@ observe, with the noise of one epoch's phases: so errors of successive walks are
 The motion is one of several: white jerk from what drones do to what walkers do, or standing. Each is tried, weighed by what it let expect
 (Ackerson and Fu 1970, IEEE Trans. AC-15:10), and they are joined to one state. So a receiver that stands is known to millimetres per
 second, and is as unsure as a vehicle as soon as a walk says that it is one. What no epoch can show, because it comes and goes between two,
-Dopplers show: by how much they contradict the walks, these count less.
+Dopplers show: by how much they contradict the walks, these count less. How good walks are, a rest shows: where two in a row lead away from
+it further than phases say, the sigma is larger, where they come back from the noise of one epoch, it is smaller.
 """
 
 from math import exp, isfinite, log, nan
@@ -29,9 +30,11 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 # Density of white jerk of each motion as a part of the options'. At 1 Hz the velocity is within 2.7, 0.9 and 0.15 m/s (each axis) of what
-# walks say: the least is what a walker's sway or a hull does between two epochs. The others stand, or begin to move so slowly.
-MOTIONS: Final = (10.0, 1.0, 0.03, 1e-3, 1e-6, 1e-11)
+# walks say: the least is what a walker's sway or a hull does between two epochs. The others stand, or begin to move so slowly; the last
+# one is at rest also where epochs are 30 s apart (1e-11 would let it change by 0.5 mm/s).
+MOTIONS: Final = (10.0, 1.0, 0.03, 1e-3, 1e-6, 3e-14)
 MOVING: Final = 3  # of them move
+RESTING: Final = 4  # from here on they are at rest
 STANDING_MPS: Final = 0.03  # what stands is no faster
 CHANGE_S: Final = 100.0  # in the mean after so long a rover begins another motion
 DECAY_S: Final = 5.0  # accelerations last seconds
@@ -42,18 +45,27 @@ SIGMA_M: Final = 0.003  # of a phase's time difference, before any was seen
 PRIOR_DOF: Final = 2.0  # what that is worth
 EPOCH_PRIOR_DOF: Final = 12.0  # of what is remembered against the epoch's own residuals
 MEMORY_DOF: Final = 200.0  # ten seconds under open sky
-# What lasts in time differences, satellites' clocks and the ionosphere, as a part of their sigma, over a second or the interval where that
-# is longer: no mean over epochs takes it away. Static recordings, at 1 Hz: normalised squares of 0.4 to 1.5 (with 0.7: 0.45 to 1.7).
-LASTING: Final = 0.8
+# Chi-square per degree of freedom of two walks in a row at rest for which the joined covariance is right. Were the noise that of places
+# alone, it would be 1, but the joined motions are more careful than the best of them. Static pairs, recorded and simulated, ask for 1.5
+# to 2.4.
+REST_EXPECTED: Final = 2.0
+REST_PRIOR_DOF: Final = 12.0  # that it is so
+REST_MEMORY_DOF: Final = 180.0  # a minute
+REST_MOST: Final = 100.0  # chi-square of one such pair: more is no noise
+REST_LEAST: Final = 0.4  # factor of the covariance
+SURELY: Final = 0.9  # weight of rest with which walks are held against it
 SWAY_PRIOR_DOF: Final = 12.0  # that Dopplers and walks agree
 SWAY_MEMORY_DOF: Final = 60.0  # 20 s
 LIMIT: Final = 16.3  # chi-square of 3 degrees of freedom at 0.1 %
 
 # Memory: weights of motions; squared residuals of phases (m2) and their degrees of freedom; seconds (of tags) since the place that the next
 # walk begins at; 1 while that place is the first one; chi-square of Dopplers against walks and its degrees of freedom; seconds since there
-# was a walk or a Doppler.
-SQUARES_M2, FREEDOM, SINCE_S, FIRST, SWAY_CHI2, SWAY_FREEDOM, UNSEEN_S = range(len(MOTIONS), len(MOTIONS) + 7)
-MEMORY: Final = len(MOTIONS) + 7
+# was a walk or a Doppler; chi-square of two walks in a row at rest and its degrees of freedom; the last walk (m, ECEF; NaN: there was
+# none).
+(
+    SQUARES_M2, FREEDOM, SINCE_S, FIRST, SWAY_CHI2, SWAY_FREEDOM, UNSEEN_S, REST_CHI2, REST_FREEDOM, LAST_M,
+) = range(len(MOTIONS), len(MOTIONS) + 10)  # fmt: skip
+MEMORY: Final = len(MOTIONS) + 12
 _PLACE, _VELOCITY, _STATES = 0, 3, 9
 
 
@@ -76,6 +88,8 @@ class Pace:
         self._x, self._P, self._memory = np.zeros(_STATES), np.zeros((_STATES, _STATES)), np.zeros(MEMORY)
         self._memory[SQUARES_M2], self._memory[FREEDOM] = PRIOR_DOF * SIGMA_M**2, PRIOR_DOF
         self._memory[SWAY_CHI2] = self._memory[SWAY_FREEDOM] = SWAY_PRIOR_DOF
+        self._memory[REST_CHI2], self._memory[REST_FREEDOM] = REST_PRIOR_DOF * REST_EXPECTED, REST_PRIOR_DOF
+        self._memory[LAST_M : LAST_M + 3] = nan
         self._cov_m2ps2 = np.zeros((3, 3))
         self._time: GpsTime | None = None
         self._clock_s = nan
@@ -140,11 +154,10 @@ def follow(
     if by_walk and by_doppler:
         learn_sway(memory, joined, dt)
     memory[UNSEEN_S] = 0.0 if by_walk or by_doppler else memory[UNSEEN_S] + dt
+    factor = learn_rest(memory, told.walk, variance_m2, dt)
     for i in range(3):
         for j in range(3):
-            cov_m2ps2[i, j] = P[_VELOCITY + i, _VELOCITY + j]
-    if by_walk:
-        _add_lasting(cov_m2ps2, told.walk, memory[SQUARES_M2] / memory[FREEDOM], dt)
+            cov_m2ps2[i, j] = factor * P[_VELOCITY + i, _VELOCITY + j]
     _stand_here(x, P, memory, told.walk, by_walk)
     if not is_finite(x, P):
         _begin(x, P, memory)
@@ -169,6 +182,7 @@ def _begin(x: Vector, P: Matrix, memory: Vector) -> None:
     for k in range(len(MOTIONS)):
         memory[k] = 1.0 / len(MOTIONS)
     memory[FIRST], memory[SINCE_S], memory[UNSEEN_S] = 1.0, 0.0, 2.0 * GAP_S
+    memory[LAST_M : LAST_M + 3] = nan
 
 
 @kernel_in_place
@@ -213,12 +227,40 @@ def _remember(memory: Vector, at: int, squares: float, freedom: float, duration:
 
 
 @kernel_in_place
-def _add_lasting(cov_m2ps2: Matrix, walk: Vector, variance_m2: float, dt_s: float) -> None:
-    """Add to the covariance of the velocity what lasts in time differences of this variance."""
-    scale = LASTING**2 * variance_m2 / max(dt_s, 1.0) ** 2
+def learn_rest(memory: Vector, walk: Vector, variance_m2: float, dt_s: float) -> float:
+    """Take in a walk, of which the phases' time differences have this variance (nothing: there is none); return the factor of the
+    covariance of the velocity.
+
+    At rest two walks in a row lead from the noise of one place to that of another one, while what lasts (satellites' clocks, the
+    ionosphere, phases that a receiver smooths) adds up in them: the square of their sum says how much of either there is.
+    """
+    resting, square = 0.0, nan
+    for k in range(RESTING, len(MOTIONS)):
+        resting += memory[k]
+    if variance_m2 > 0.0:
+        square = _square_of_two(memory, walk) / variance_m2
+        for i in range(3):
+            memory[LAST_M + i] = walk[WALK_M + i]
+    else:
+        memory[LAST_M : LAST_M + 3] = nan
+    if resting > SURELY and isfinite(square):
+        _remember(memory, REST_CHI2, min(square, REST_MOST), 3.0, (dt_s, REST_MEMORY_DOF))
+    factor = max(memory[REST_CHI2] / (REST_EXPECTED * memory[REST_FREEDOM]), REST_LEAST)
+    return 1.0 + resting * (factor - 1.0)
+
+
+@kernel_in_place
+def _square_of_two(memory: Vector, walk: Vector) -> float:
+    """Return the square (m2) of this walk and the last one together, by the cofactors of this one; NaN without one."""
+    cofactor, inverse, square = scratch_table(3, 3), scratch_table(3, 3), 0.0
     for i in range(3):
         for j in range(3):
-            cov_m2ps2[i, j] += scale * walk[WALK_COFACTOR + 3 * i + j]
+            cofactor[i, j] = walk[WALK_COFACTOR + 3 * i + j]
+    invert3_into(cofactor, inverse)
+    for i in range(3):
+        for j in range(3):
+            square += (walk[WALK_M + i] + memory[LAST_M + i]) * inverse[i, j] * (walk[WALK_M + j] + memory[LAST_M + j])
+    return square
 
 
 # --- motions ---
@@ -238,6 +280,7 @@ def _tried(x: Vector, P: Matrix, memory: Vector, told: Told, known: tuple[float,
     _place_noise(told.walk, known[2], memory[FIRST], R)
     _set_standing(desk)
     sway = max(memory[SWAY_CHI2] / memory[SWAY_FREEDOM], 1.0) if has[0] else 1.0
+    share = min(dt / FULL_STEP_S, 1.0)  # that it stands is asked once a second, at any rate
     predict_motion(x, P, dt, DECAY_S, desk.S)
     for k in range(count):
         state, cov = states[k], covs[k * _STATES : (k + 1) * _STATES]
@@ -248,7 +291,7 @@ def _tried(x: Vector, P: Matrix, memory: Vector, told: Told, known: tuple[float,
         _disturb(cov, dt, MOTIONS[k] * known[1])
         weight[k] = log(memory[k] + (1.0 - exp(-dt / CHANGE_S)) * (1.0 / count - memory[k]))
         if k >= MOVING:
-            weight[k] -= 0.5 * _misfit(state, cov, _VELOCITY, desk.nothing, desk.slow, desk)[0]
+            weight[k] -= 0.5 * share * _misfit(state, cov, _VELOCITY, desk.nothing, desk.slow, desk)[0]
         if has[0]:
             weight[k] += _observe(state, cov, _PLACE, place_m, R, (k == 0, 1.0), desk)[1]
         if has[1]:
