@@ -7,15 +7,18 @@ from rtkmesh.rtk.agreement import (
     DEPARTURE_ALONE,
     FAINT_ODDS,
     FEW_INTEGERS,
+    LONE_LEAST_S,
     MIRRORED_CODES,
     PROOF_ODDS,
     PROVEN_LEAST_S,
+    STRAINED_M,
+    is_strained,
     is_unsafe,
     note_fix,
     note_proof,
     stands_alone,
 )
-from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, PROVEN_S, SINCE_SEARCH, UNAGREED, forget, new_memory
+from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, LONE_S, PROVEN_S, SINCE_SEARCH, UNAGREED, forget, new_memory
 
 
 @pytest.fixture
@@ -145,3 +148,35 @@ def test_few_integers_with_reflected_codes_must_be_proven():
     assert not is_unsafe(FEW_INTEGERS + 1, MIRRORED_CODES + 0.1)
     assert not is_unsafe(FEW_INTEGERS, MIRRORED_CODES)
     assert not is_unsafe(FEW_INTEGERS, float("inf"))
+
+
+@pytest.mark.parametrize(("misfit", "factor"), [(0.1, 1.0), (1.0, 1.0), (4.0, 2.0), (9.0, 3.0)])
+def test_a_fix_that_is_alone_is_as_uncertain_as_it_fits(alone, misfit, factor):
+    """Variances are too small by the squared norm per integer; integers that fit better than that say nothing."""
+    alone[LONE_S] = LONE_LEAST_S
+    assert not is_strained(alone, 0.999 * STRAINED_M / factor, misfit)
+    assert is_strained(alone, 1.001 * STRAINED_M / factor, misfit)
+
+
+def test_a_fix_that_was_given_a_moment_ago_may_fit_badly(alone):
+    """Nor is one asked whose search was not made."""
+    alone[LONE_S] = LONE_LEAST_S - 0.1
+    assert not is_strained(alone, 1.0, 9.0)
+    alone[LONE_S], alone[SINCE_SEARCH] = 2.0 * LONE_LEAST_S, 2.0
+    assert not is_strained(alone, 1.0, 9.0)
+
+
+def test_searches_that_do_not_agree_leave_it_alone(alone):
+    """For as long as they do not, an epoch for a second at most; one that agrees ends it, and so do new integers."""
+    note_proof(alone, 0.0, 9.0, 100.0)
+    for k in range(3):
+        note_proof(alone, alone[CONFIRMED], 9.0, 101.0 + k)
+    note_proof(alone, alone[CONFIRMED], 9.0, 133.0)
+    assert alone[LONE_S] == pytest.approx(5.0)
+    alone[CONFIRMED] += 1.0
+    note_proof(alone, alone[CONFIRMED] - 1.0, 0.0, 134.0)
+    assert alone[LONE_S] == 0.0
+    note_proof(alone, alone[CONFIRMED], 0.0, 135.0)
+    alone[HELD_SINCE_S] = 136.0
+    note_proof(alone, alone[CONFIRMED], 0.0, 136.0)
+    assert alone[LONE_S] == 0.0

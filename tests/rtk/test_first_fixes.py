@@ -11,6 +11,7 @@ from rtkmesh.rtk.acceptance import (
     AGAINST_LEAST,
     AGREES,
     ALL_LEAST,
+    NO_SLOPE_FIT,
     OBJECTS,
     OPEN_SLOPE_FEW,
     OPEN_SLOPE_LEAST,
@@ -110,6 +111,8 @@ def test_no_slope_is_believed_only_where_an_open_one_gives_the_same_others(gps, 
     assert not bears_out(f, enough._replace(odds=least - 0.01), straight)
     assert not bears_out(f, enough._replace(resolved=False), straight)
     assert not bears_out(f, enough, straight._replace(resolved=False))
+    assert bears_out(f, enough, straight._replace(norm=enough.norm + NO_SLOPE_FIT - 0.01))
+    assert not bears_out(f, enough, straight._replace(norm=enough.norm + NO_SLOPE_FIT + 0.01))
 
 
 def test_what_is_asked_follows_the_codes():

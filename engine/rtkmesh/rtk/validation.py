@@ -15,7 +15,7 @@ from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratc
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
 from rtkmesh.rtk.acceptance import FAR_M, log_space, search_all, try_new
-from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_unsafe, stands_alone
+from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_strained, is_unsafe, stands_alone
 from rtkmesh.rtk.ambiguity import (
     Candidates,
     Search,
@@ -29,7 +29,7 @@ from rtkmesh.rtk.ambiguity import (
     write_held_differences,
 )
 from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
-from rtkmesh.rtk.calm import calmed
+from rtkmesh.rtk.calm import place_calmly
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -44,6 +44,7 @@ from rtkmesh.rtk.memory import (
     LAST_ODDS,
     LAST_SECOND,
     LAST_SUCCESS,
+    OBJECTION,
     SHARE,
     SHOWN,
     SINCE_SEARCH,
@@ -54,6 +55,7 @@ from rtkmesh.rtk.memory import (
     ResolveSetup,
     release,
 )
+from rtkmesh.rtk.objections import OBJECTED, weigh_objections
 from rtkmesh.rtk.predicted import WEAK_M, carry, departure, learn_fix, with_prediction
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.solution import Reason
@@ -144,6 +146,8 @@ def decide(
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
         learn_glonass(f, everything, held, memory, setup)
+    if len(held) >= 3 and not _is_far(f):
+        weigh_objections(f, candidates, len(held), free, memory, setup)
     return free
 
 
@@ -261,18 +265,19 @@ def fix(
         integers, dynamic = held_differences(f, pairs), scratch_indices(DYNAMIC)
         for i in range(DYNAMIC):
             dynamic[i] = i
-        placing = calmed(f) if calm else f
-        norm = condition(placing.x, placing.P, pairs, integers, 0.0, dynamic, x, P)
         if calm:
+            place_calmly(f, pairs, integers, dynamic, x, P)
             norm = norm_of(f, pairs, integers)
+        else:
+            norm = condition(f.x, f.P, pairs, integers, 0.0, dynamic, x, P)
         sigma_m = _sigma_m(P)
         away = departure(x, P, prediction) if isfinite(prediction[3]) else 0.0
         if sigma_m > WEAK_M and is_street(level) and isfinite(prediction[3]) and not _is_far(f):
             carry(x, P, prediction, memory[FIX_SIGMA])
             sigma_m = _sigma_m(P)
-        alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds)
+        alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds) or is_strained(memory, sigma_m, norm / count)
         reason = FIX_OK
-        if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
+        if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or _is_hidden(memory):
             reason = NOT_VALID
         elif sigma_m > (STREET_SIGMA_M if is_street(level) and not _is_far(f) else FIX_SIGMA_M):
             reason = TOO_UNCERTAIN
@@ -294,6 +299,12 @@ def fix(
     threshold = ratio_for(len(free.pairs), setup.confidence * ACCEPT_AT_ONCE)
     fixed = reason == FIX_OK
     return Resolution(reason, fixed, x, P, ratio, free.odds, threshold, free.success, count if fixed else 0, grade, norm)
+
+
+@kernel_in_place
+def _is_hidden(memory: Vector) -> bool:
+    """Return whether what is held is in doubt, or not confirmed yet."""
+    return bool(memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0 or memory[OBJECTION] == OBJECTED)
 
 
 @kernel_in_place
