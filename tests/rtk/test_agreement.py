@@ -7,17 +7,18 @@ from rtkmesh.rtk.agreement import (
     DEPARTURE_ALONE,
     FAINT_ODDS,
     FEW_INTEGERS,
+    LONE_FIT,
     LONE_LEAST_S,
     MIRRORED_CODES,
     PROOF_ODDS,
     PROVEN_LEAST_S,
-    STRAINED_M,
-    is_strained,
+    is_left_alone,
     is_unsafe,
     note_fix,
     note_proof,
     stands_alone,
 )
+from rtkmesh.rtk.asked_odds import WEAK_COUNT
 from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, LONE_S, PROVEN_S, SINCE_SEARCH, UNAGREED, forget, new_memory
 
 
@@ -150,20 +151,20 @@ def test_few_integers_with_reflected_codes_must_be_proven():
     assert not is_unsafe(FEW_INTEGERS, float("inf"))
 
 
-@pytest.mark.parametrize(("misfit", "factor"), [(0.1, 1.0), (1.0, 1.0), (4.0, 2.0), (9.0, 3.0)])
-def test_a_fix_that_is_alone_is_as_uncertain_as_it_fits(alone, misfit, factor):
-    """Variances are too small by the squared norm per integer; integers that fit better than that say nothing."""
+@pytest.mark.parametrize(
+    ("integers", "misfit", "waits"), [(WEAK_COUNT - 1, 1.01, True), (WEAK_COUNT - 1, 0.99, False), (WEAK_COUNT, 3.0, False)]
+)
+def test_few_integers_that_stay_alone_must_fit(alone, integers, misfit, waits):
     alone[LONE_S] = LONE_LEAST_S
-    assert not is_strained(alone, 0.999 * STRAINED_M / factor, misfit)
-    assert is_strained(alone, 1.001 * STRAINED_M / factor, misfit)
+    assert is_left_alone(alone, integers, misfit * LONE_FIT) is waits
 
 
-def test_a_fix_that_was_given_a_moment_ago_may_fit_badly(alone):
-    """Nor is one asked whose search was not made."""
+def test_integers_that_were_given_a_moment_ago_may_fit_badly(alone):
+    """Nor are those asked whose search was not made."""
     alone[LONE_S] = LONE_LEAST_S - 0.1
-    assert not is_strained(alone, 1.0, 9.0)
+    assert not is_left_alone(alone, 5, 2.0 * LONE_FIT)
     alone[LONE_S], alone[SINCE_SEARCH] = 2.0 * LONE_LEAST_S, 2.0
-    assert not is_strained(alone, 1.0, 9.0)
+    assert not is_left_alone(alone, 5, 2.0 * LONE_FIT)
 
 
 def test_searches_that_do_not_agree_leave_it_alone(alone):

@@ -6,11 +6,11 @@ from tests.rtk.float_filters import GPS, TRUE, floating
 
 from rtkmesh.rtk.acceptance import FAR_COUNT
 from rtkmesh.rtk.ambiguity import Candidates, search
-from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, OBJECTION, SHOWN, new_memory, resolve_setup
-from rtkmesh.rtk.objections import CLEARED, OBJECTED, OPEN, one_is_needed, weigh_objections
+from rtkmesh.rtk.memory import ACCEPT_AFTER_STREAK, ACCEPT_AT_ONCE, CONFIRMED, HELD_SINCE_S, OBJECTED, SHOWN, new_memory, resolve_setup
+from rtkmesh.rtk.objections import hear_objections, one_is_needed
 from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.state import DYNAMIC, INTEGER
-from rtkmesh.rtk.validation import FIX_OK, NOT_VALID, fix
+from rtkmesh.rtk.validation import CONFIRMATIONS, decide
 
 SETUP = resolve_setup(AmbiguityOptions(), None, 0.01)
 OFF = GPS - 1  # the satellite whose phase is a reflected one
@@ -26,10 +26,6 @@ def scene(off_by=OTHERS, seed=0, reflected_cyc=0.5):
     return f, Candidates(*(column[:GPS] for column in everything))
 
 
-def unclear(f, candidates):
-    return search(f, candidates, np.nan, 0.01)._replace(odds=ACCEPT_AT_ONCE - 0.01)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_one_satellite_must_not_be_all_that_speaks_for_integers(seed):
     f, gps = scene(seed=seed)
@@ -38,36 +34,42 @@ def test_one_satellite_must_not_be_all_that_speaks_for_integers(seed):
         assert not one_is_needed(*scene(np.zeros(GPS), seed, reflected_cyc), SETUP)
 
 
-def weighed(memory, off_by=OTHERS, held=GPS - 1, setup=SETUP, free=unclear):
+def heard(memory, off_by=OTHERS, held=GPS - 1, setup=SETUP):
     f, gps = scene(off_by)
-    weigh_objections(f, gps, held, free(f, gps), memory, setup)
-    return memory[OBJECTION]
+    hear_objections(f, gps, held, memory, setup)
+    return memory[OBJECTED] > 0.0
 
 
-def clear(f, _):
-    """A search that gives what is held with the odds of one search."""
-    gps = Candidates(np.arange(1, GPS + 1), np.zeros(GPS, np.int64), f.keys[1 : GPS + 1], np.ones(GPS))
-    return search(f, gps, np.nan, 0.01)._replace(values=f.history[:, INTEGER].copy(), odds=ACCEPT_AT_ONCE, resolved=True)
-
-
-def test_an_objection_lasts_until_a_search_of_all_is_clear():
+def test_an_objection_to_what_was_not_shown_is_remembered():
     memory = new_memory()
-    assert weighed(memory, np.zeros(GPS)) == OPEN
-    assert weighed(memory) == OBJECTED
-    assert weighed(memory, np.zeros(GPS)) == OBJECTED
-    assert weighed(memory, free=clear) == CLEARED
-    assert weighed(memory) == CLEARED
+    assert not heard(memory, np.zeros(GPS))
+    assert heard(memory)
+    assert heard(memory, np.zeros(GPS))
 
 
-def test_many_integers_and_known_lengths_are_not_asked():
+def test_what_was_shown_many_integers_and_known_lengths_are_not_asked():
     """Of many one satellite's are few, and odds by a known length are others."""
-    assert weighed(new_memory(), held=FAR_COUNT) == OPEN
-    assert weighed(new_memory(), setup=resolve_setup(AmbiguityOptions(), 1.0, 0.01)) == OPEN
-
-
-@pytest.mark.parametrize(("objection", "reason"), [(OPEN, FIX_OK), (OBJECTED, NOT_VALID), (CLEARED, FIX_OK)])
-def test_what_is_objected_to_is_not_shown(objection, reason):
-    f, gps = scene(np.zeros(GPS), reflected_cyc=0.0)
     memory = new_memory()
-    memory[SHOWN], memory[OBJECTION] = 1.0, objection
-    assert fix(f, gps, unclear(f, gps), memory, SETUP, np.full(7, np.nan), 1.0, 0.5, False).reason == reason
+    memory[SHOWN] = 1.0
+    assert not heard(memory)
+    assert not heard(new_memory(), held=FAR_COUNT)
+    assert not heard(new_memory(), setup=resolve_setup(AmbiguityOptions(), 1.0, 0.01))
+
+
+@pytest.mark.parametrize(("objected", "level", "least"), [
+    (0.0, 0.5, ACCEPT_AFTER_STREAK), (1.0, 0.5, ACCEPT_AT_ONCE), (0.0, 2.0, ACCEPT_AFTER_STREAK), (1.0, 2.0, ACCEPT_AT_ONCE),
+])  # fmt: skip
+def test_what_was_objected_to_is_shown_by_the_odds_of_one_search(objected, level, least):
+    """Searches that agree have confirmed it often enough; of those one must be as clear as a first one."""
+    shown = 0
+    for seed in range(24):
+        f, everything = floating(np.random.default_rng(seed), code_m=0.3, phase_m=0.005)
+        gps, memory = Candidates(*(column[:GPS] for column in everything)), new_memory()
+        free = search(f, gps, np.nan, 0.01)
+        f.history[:, INTEGER] = free.values
+        memory[CONFIRMED], memory[OBJECTED], memory[HELD_SINCE_S] = CONFIRMATIONS, objected, 0.0
+        decide(f, gps, memory, SETUP, np.full(7, np.nan), 1.0, level)
+        if memory[OBJECTED] == objected:  # else it was objected to just now
+            assert (memory[SHOWN] > 0.0) == (free.odds >= least)
+            shown += memory[SHOWN] > 0.0
+    assert 0 < shown < 24

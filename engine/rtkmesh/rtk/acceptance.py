@@ -19,7 +19,7 @@ from rtkmesh.rtk.memory import (
     DOUBTS,
     HELD_SINCE_S,
     LAST_ODDS,
-    OBJECTION,
+    OBJECTED,
     SHOWN,
     STREAK_EPOCHS,
     STREAK_EPOCHS_LEAST,
@@ -56,7 +56,7 @@ WEAKEST: Final = 5  # so many of the weakest satellites are left out in turn
 # of the others, 0.9 of four and 3.5 of five; right ones had 3.6 and more of six to eight, 4.6 and more of five.
 OPEN_SLOPE_LEAST: Final = 3.0
 OPEN_SLOPE_FEW: Final = 4.0  # where the integers of the others are fewer than ``witness.LEAST``
-NO_SLOPE_FIT: Final = 4.0  # squared norm by which they may fit worse without a slope than with the best one: two sigmas of it
+NO_SLOPE_FIT: Final = 4.0  # by so many squared norms per integer (1 at least) they may fit worse without a slope: two sigmas of it
 SILENT, AGREES, OBJECTS = range(3)  # what GLONASS says of integers that were found without it
 # Log odds of other integers by the search with GLONASS that forbid those which are found without it.
 AGAINST_LEAST: Final = 2.5
@@ -127,7 +127,7 @@ def try_new(
         memory[TRUSTS_GLONASS] = 1.0
         tell_slopes(f, best.pairs, best.integers)
     _hold(f, best)
-    memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED], memory[OBJECTION] = time_s, 0.0, 0.0, 0.0
+    memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED], memory[OBJECTED] = time_s, 0.0, 0.0, 0.0
     good = penalty == 0.0 and best.norm <= GOOD_FIT * len(best.pairs)
     clear = strong and penalty == 0.0 and needed < ACCEPT_AT_ONCE  # so are odds that are enough where codes are good
     memory[SHOWN] = 1.0 if good or clear or best.odds >= setup.confidence * SURE or len(best.pairs) >= STRONG_COUNT else 0.0
@@ -206,8 +206,10 @@ def bears_out(f: Filter, sloped: Search, straight: Search) -> bool:
     """
     own = others_of(f, sloped.pairs)
     least = OPEN_SLOPE_LEAST if len(own) >= LEAST else OPEN_SLOPE_FEW
-    clear = sloped.resolved and straight.resolved and sloped.odds >= least and straight.norm - sloped.norm <= NO_SLOPE_FIT
-    return clear and bool((sloped.integers[own] == straight.integers[own]).all())
+    if not sloped.resolved or not straight.resolved or sloped.odds < least:
+        return False
+    fits = straight.norm - sloped.norm <= NO_SLOPE_FIT * max(sloped.norm / len(sloped.pairs), 1.0)
+    return fits and bool((sloped.integers[own] == straight.integers[own]).all())
 
 
 @kernel

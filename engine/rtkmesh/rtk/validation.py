@@ -15,7 +15,7 @@ from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratc
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
 from rtkmesh.rtk.acceptance import FAR_M, log_space, search_all, try_new
-from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_strained, is_unsafe, stands_alone
+from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_left_alone, is_unsafe, stands_alone
 from rtkmesh.rtk.ambiguity import (
     Candidates,
     Search,
@@ -44,7 +44,7 @@ from rtkmesh.rtk.memory import (
     LAST_ODDS,
     LAST_SECOND,
     LAST_SUCCESS,
-    OBJECTION,
+    OBJECTED,
     SHARE,
     SHOWN,
     SINCE_SEARCH,
@@ -55,7 +55,7 @@ from rtkmesh.rtk.memory import (
     ResolveSetup,
     release,
 )
-from rtkmesh.rtk.objections import OBJECTED, weigh_objections
+from rtkmesh.rtk.objections import hear_objections
 from rtkmesh.rtk.predicted import WEAK_M, carry, departure, learn_fix, with_prediction
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.solution import Reason
@@ -135,6 +135,8 @@ def decide(
     free = told
     if len(held) >= 3:
         confirmed = memory[CONFIRMED]
+        if not is_reflected(level) and not _is_far(f):
+            hear_objections(f, candidates, len(held), memory, setup)
         _watch(f, held, free, memory, setup, prediction)
         if memory[CONFIRMED] > confirmed and len(free.pairs) > len(held) and _extends(f, free, setup.confidence * asked_of_told):
             extend(f, free)
@@ -146,8 +148,6 @@ def decide(
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
         learn_glonass(f, everything, held, memory, setup)
-    if len(held) >= 3 and not _is_far(f):
-        weigh_objections(f, candidates, len(held), free, memory, setup)
     return free
 
 
@@ -218,7 +218,8 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
             same = same and other[k] == integers[k]
         if same:
             memory[CONFIRMED] += 1.0
-            if memory[CONFIRMED] >= CONFIRMATIONS and free.odds >= setup.confidence * ACCEPT_AFTER_STREAK:
+            least = ACCEPT_AT_ONCE if memory[OBJECTED] > 0.0 else ACCEPT_AFTER_STREAK
+            if memory[CONFIRMED] >= CONFIRMATIONS and free.odds >= setup.confidence * least:
                 memory[SHOWN] = 1.0
         else:
             against = free.odds >= setup.confidence * ACCEPT_AT_ONCE and free.norm <= NORM_LIMIT * len(free.pairs)
@@ -275,9 +276,10 @@ def fix(
         if sigma_m > WEAK_M and is_street(level) and isfinite(prediction[3]) and not _is_far(f):
             carry(x, P, prediction, memory[FIX_SIGMA])
             sigma_m = _sigma_m(P)
-        alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds) or is_strained(memory, sigma_m, norm / count)
+        alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds)
+        alone = alone or (is_street(level) and is_left_alone(memory, count, norm / count))
         reason = FIX_OK
-        if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or _is_hidden(memory):
+        if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
             reason = NOT_VALID
         elif sigma_m > (STREET_SIGMA_M if is_street(level) and not _is_far(f) else FIX_SIGMA_M):
             reason = TOO_UNCERTAIN
@@ -299,12 +301,6 @@ def fix(
     threshold = ratio_for(len(free.pairs), setup.confidence * ACCEPT_AT_ONCE)
     fixed = reason == FIX_OK
     return Resolution(reason, fixed, x, P, ratio, free.odds, threshold, free.success, count if fixed else 0, grade, norm)
-
-
-@kernel_in_place
-def _is_hidden(memory: Vector) -> bool:
-    """Return whether what is held is in doubt, or not confirmed yet."""
-    return bool(memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0 or memory[OBJECTION] == OBJECTED)
 
 
 @kernel_in_place
