@@ -34,7 +34,7 @@ def is_atmospheric(length_m: float, satellite: NDArray[np.int16]) -> bool:
 
 
 # How far the place with the atmosphere's states may be off the one without them by antennas alone: kanagawa_60s (5.3 km) has 35 mm. In
-# simulation, where antennas are perfect, places that are no more than 3 cm apart are equally good; 5 to 7 cm apart the one without is 13 cm
+# simulation, where antennas are perfect, places that are no more than 2 cm apart are equally good; 5 to 7 cm apart the one without is 13 cm
 # off (rms, 172 fixes of 7 to 10 km), the one with the states 8 cm, from 10 cm on 18 and 6 cm.
 ANTENNAS_M: Final = 0.04
 
