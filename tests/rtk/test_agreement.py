@@ -7,15 +7,18 @@ from rtkmesh.rtk.agreement import (
     DEPARTURE_ALONE,
     FAINT_ODDS,
     FEW_INTEGERS,
+    LONE_FIT,
+    LONE_LEAST_S,
     PROOF_ODDS,
     PROVEN_LEAST_S,
+    is_left_alone,
     is_unsafe,
     note_fix,
     note_proof,
     stands_alone,
 )
-from rtkmesh.rtk.asked_odds import MIRRORED_CODES
-from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, PROVEN_S, SINCE_SEARCH, UNAGREED, forget, new_memory
+from rtkmesh.rtk.asked_odds import MIRRORED_CODES, WEAK_COUNT
+from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, LONE_S, PROVEN_S, SINCE_SEARCH, UNAGREED, forget, new_memory
 
 
 @pytest.fixture
@@ -145,3 +148,35 @@ def test_few_integers_with_reflected_codes_must_be_proven():
     assert not is_unsafe(FEW_INTEGERS + 1, MIRRORED_CODES + 0.1)
     assert not is_unsafe(FEW_INTEGERS, MIRRORED_CODES)
     assert not is_unsafe(FEW_INTEGERS, float("inf"))
+
+
+@pytest.mark.parametrize(
+    ("integers", "misfit", "waits"), [(WEAK_COUNT - 1, 1.01, True), (WEAK_COUNT - 1, 0.99, False), (WEAK_COUNT, 3.0, False)]
+)
+def test_few_integers_that_stay_alone_must_fit(alone, integers, misfit, waits):
+    alone[LONE_S] = LONE_LEAST_S
+    assert is_left_alone(alone, integers, misfit * LONE_FIT) is waits
+
+
+def test_integers_that_were_given_a_moment_ago_may_fit_badly(alone):
+    """Nor are those asked whose search was not made."""
+    alone[LONE_S] = LONE_LEAST_S - 0.1
+    assert not is_left_alone(alone, 5, 2.0 * LONE_FIT)
+    alone[LONE_S], alone[SINCE_SEARCH] = 2.0 * LONE_LEAST_S, 2.0
+    assert not is_left_alone(alone, 5, 2.0 * LONE_FIT)
+
+
+def test_searches_that_do_not_agree_leave_it_alone(alone):
+    """For as long as they do not, an epoch for a second at most; one that agrees ends it, and so do new integers."""
+    note_proof(alone, 0.0, 9.0, 100.0)
+    for k in range(3):
+        note_proof(alone, alone[CONFIRMED], 9.0, 101.0 + k)
+    note_proof(alone, alone[CONFIRMED], 9.0, 133.0)
+    assert alone[LONE_S] == pytest.approx(5.0)
+    alone[CONFIRMED] += 1.0
+    note_proof(alone, alone[CONFIRMED] - 1.0, 0.0, 134.0)
+    assert alone[LONE_S] == 0.0
+    note_proof(alone, alone[CONFIRMED], 0.0, 135.0)
+    alone[HELD_SINCE_S] = 136.0
+    note_proof(alone, alone[CONFIRMED], 0.0, 136.0)
+    assert alone[LONE_S] == 0.0

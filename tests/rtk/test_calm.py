@@ -11,8 +11,9 @@ from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.frames import enu_from_ecef_at
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, signal_code
 from rtkmesh.models.ephemeris_table import EphemerisTable
+from rtkmesh.rtk.ambiguity import condition
 from rtkmesh.rtk.asked_odds import ATMOSPHERE_FROM_M
-from rtkmesh.rtk.calm import calmed, is_atmospheric
+from rtkmesh.rtk.calm import ANTENNAS_M, calmed, excess_of, is_atmospheric, place_calmly, share_of_states
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
@@ -20,6 +21,7 @@ from rtkmesh.rtk.state import DYNAMIC, EXCESS_KEY, HISTORY, SLOPE_KEYS, ZENITH_K
 
 KEYS = np.array([ZENITH_KEY, 3, 7, EXCESS_KEY, SLOPE_KEYS[0], 3 * KEYS_PER_SATELLITE + 1, 7 * KEYS_PER_SATELLITE + 1], np.int64)
 ATMOSPHERE = DYNAMIC + np.arange(4)
+PAIRS, INTEGERS = np.array([[DYNAMIC + 6, DYNAMIC + 5]]), np.array([2.0])
 BASE_ECEF_M = np.array([-3959400.631, 3385704.533, 3667523.111])
 L2_M = 299792458.0 / 1227.6e6
 
@@ -51,6 +53,36 @@ def test_a_filter_without_atmosphere_stays() -> None:
     calm = calmed(plain, 0.3)
     assert calm.x == pytest.approx(plain.x, abs=1e-12)
     assert np.allclose(calm.P, plain.P, atol=1e-9)
+
+
+def placed(f: Filter) -> tuple[np.ndarray, np.ndarray]:
+    """Return the place given an integer of what the two ambiguities differ by, and its covariance."""
+    x, P = np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
+    condition(f.x, f.P, PAIRS, INTEGERS, 0.0, np.arange(DYNAMIC), x, P)
+    return x, P
+
+
+@given(st.integers(0, 999), st.floats(0.0, 100.0))
+def test_the_place_goes_over_to_the_one_with_an_active_atmosphere(seed: int, activity: float) -> None:
+    """Between both, on the line that joins them, by what their distance has beyond antennas and noise; so is the covariance."""
+    f = a_filter(seed)
+    f.x[ATMOSPHERE] *= activity
+    (felt_x, felt_P), (calm_x, calm_P) = placed(f), placed(calmed(f, excess_of(f, PAIRS, INTEGERS)))
+    x, P = np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
+    place_calmly(f, PAIRS, INTEGERS, np.arange(DYNAMIC), x, P)
+    apart_m2 = float(((felt_x - calm_x)[:3] ** 2).sum())
+    variance_m2 = float(np.trace((felt_P - calm_P)[:3, :3]))
+    share = max(0.0, 1.0 - (variance_m2 + ANTENNAS_M**2) / apart_m2)
+    assert x == pytest.approx(calm_x + share * (felt_x - calm_x), abs=1e-7)
+    assert pytest.approx(calm_P + share * (felt_P - calm_P), abs=1e-7) == P
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "sigma_m", "share"), [(0.035, 0.0, 0.0), (0.08, 0.0, 0.75), (0.05, 0.03, 0.0), (0.1, 0.03, 0.75), (0.0, 0.0, 0.0)]
+)
+def test_what_antennas_and_noise_explain_is_no_atmosphere(apart_m: float, sigma_m: float, share: float) -> None:
+    assert ANTENNAS_M == 0.04
+    assert share_of_states(apart_m**2, sigma_m**2) == pytest.approx(share, abs=1e-12)
 
 
 @pytest.mark.parametrize(("length_m", "two", "one"), [(3999.0, False, False), (4001.0, True, False), (10001.0, True, True)])

@@ -64,7 +64,7 @@ def epoch(excess: float) -> tuple[Differences, np.ndarray]:
     key = number.astype(np.int64) * KEYS_PER_SATELLITE + signal * SIGNALS_PER_SATELLITE + signal
     index, flags = np.arange(n), np.zeros((n, 2), np.bool_)
     pairs = Pairs(number.astype(np.int16), index, index, np.zeros(n, np.int64), (band - 1).astype(np.int64), 2, key)
-    d = Differences(pairs, table, towards, towards, np.zeros(n), np.zeros(n), flags, flags[:, 0].copy(), np.zeros((n, 2)), np.zeros(n))
+    d = Differences(pairs, table, towards, towards, np.zeros(n), flags, flags[:, 0].copy(), np.zeros((n, 2)), np.zeros(n))
     return d, integer
 
 

@@ -11,6 +11,7 @@ from rtkmesh.rtk.acceptance import (
     AGAINST_LEAST,
     AGREES,
     ALL_LEAST,
+    NO_SLOPE_FIT,
     OBJECTS,
     OPEN_SLOPE_FEW,
     OPEN_SLOPE_LEAST,
@@ -110,6 +111,10 @@ def test_no_slope_is_believed_only_where_an_open_one_gives_the_same_others(gps, 
     assert not bears_out(f, enough._replace(odds=least - 0.01), straight)
     assert not bears_out(f, enough._replace(resolved=False), straight)
     assert not bears_out(f, enough, straight._replace(resolved=False))
+    for norm, scale in ((0.5, 1.0), (3.0, 3.0)):  # of each integer: variances may be too small, but are not too large
+        sloped = enough._replace(norm=norm * len(enough.pairs))
+        assert bears_out(f, sloped, straight._replace(norm=sloped.norm + 0.99 * scale * NO_SLOPE_FIT))
+        assert not bears_out(f, sloped, straight._replace(norm=sloped.norm + 1.01 * scale * NO_SLOPE_FIT))
 
 
 def test_what_is_asked_follows_the_codes():

@@ -19,6 +19,7 @@ from rtkmesh.rtk.memory import (
     DOUBTS,
     HELD_SINCE_S,
     LAST_ODDS,
+    OBJECTED,
     SHOWN,
     STREAK_EPOCHS,
     STREAK_EPOCHS_LEAST,
@@ -55,6 +56,7 @@ WEAKEST: Final = 5  # so many of the weakest satellites are left out in turn
 # of the others, 0.9 of four and 3.5 of five; right ones had 3.6 and more of six to eight, 4.6 and more of five.
 OPEN_SLOPE_LEAST: Final = 3.0
 OPEN_SLOPE_FEW: Final = 4.0  # where the integers of the others are fewer than ``witness.LEAST``
+NO_SLOPE_FIT: Final = 4.0  # by so many squared norms per integer (1 at least) they may fit worse without a slope: two sigmas of it
 SILENT, AGREES, OBJECTS = range(3)  # what GLONASS says of integers that were found without it
 # Log odds of other integers by the search with GLONASS that forbid those which are found without it.
 AGAINST_LEAST: Final = 2.5
@@ -188,7 +190,7 @@ def _believe(f: Filter, answer: Answer, strong: bool, memory: Vector, setup: Res
         memory[TRUSTS_GLONASS] = 1.0
         tell_slopes(f, found.pairs, found.integers)
     _hold(f, found)
-    memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED] = time_s, 0.0, 0.0
+    memory[HELD_SINCE_S], memory[DOUBTS], memory[CONFIRMED], memory[OBJECTED] = time_s, 0.0, 0.0, 0.0
     good = answer.penalty == 0.0 and found.norm <= GOOD_FIT * count
     clear = strong and answer.penalty == 0.0 and answer.needed < ACCEPT_AT_ONCE  # so are odds that are enough where codes are good
     memory[SHOWN] = 1.0 if good or clear or found.odds >= setup.confidence * SURE or count >= STRONG_COUNT else 0.0
@@ -263,12 +265,14 @@ def _better(f: Filter, candidates: Candidates, mask: NDArray[np.bool_], best: Se
 @kernel
 def bears_out(f: Filter, sloped: Search, straight: Search) -> bool:
     """Return whether the search of all that leaves the slopes of GLONASS phases open gives the integers of the other systems that the one
-    without a slope gives, with odds of its own.
+    without a slope gives, with odds of its own, and that no slope fits much better than none.
     """
     own = others_of(f, sloped.pairs)
     least = OPEN_SLOPE_LEAST if len(own) >= LEAST else OPEN_SLOPE_FEW
-    clear = sloped.resolved and straight.resolved and sloped.odds >= least
-    return clear and bool((sloped.integers[own] == straight.integers[own]).all())
+    if not sloped.resolved or not straight.resolved or sloped.odds < least:
+        return False
+    fits = straight.norm - sloped.norm <= NO_SLOPE_FIT * max(sloped.norm / len(sloped.pairs), 1.0)
+    return fits and bool((sloped.integers[own] == straight.integers[own]).all())
 
 
 @kernel

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel_in_place
-from rtkmesh.rtk.asked_odds import MIRRORED_CODES, are_worse
-from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, LAST_FIX_S, MISSED, NOTED_S, PROVEN_S, SINCE_SEARCH, UNAGREED
+from rtkmesh.rtk.asked_odds import MIRRORED_CODES, WEAK_COUNT, are_worse
+from rtkmesh.rtk.memory import AGREED_S, CONFIRMED, HELD_SINCE_S, LAST_FIX_S, LONE_S, MISSED, NOTED_S, PROVEN_S, SINCE_SEARCH, UNAGREED
 
 Vector = NDArray[np.float64]
 
@@ -29,6 +29,10 @@ FEW_INTEGERS: Final = 10
 PROOF_ODDS: Final = 3.0
 PROVEN_LEAST_S: Final = 4.9
 FAINT_ODDS: Final = 1.0
+# In streets integers that are few (``asked_odds.WEAK_COUNT``) and that no search has given for so long must fit as what joins there must,
+# by this squared norm each. In 180 simulated runs this hides 9 of 37 wrong fixes, 8 of one run, and 0.2 % of the right ones.
+LONE_LEAST_S: Final = 2.9
+LONE_FIT: Final = 4.0
 AT_MOST_S: Final = 1.0  # an epoch counts for no longer, however long ago the last one was
 
 
@@ -46,6 +50,14 @@ def stands_alone(memory: Vector, away: float, time_s: float, unsafe: bool, odds:
 
 
 @kernel_in_place
+def is_left_alone(memory: Vector, integers: int, misfit: float) -> bool:
+    """Return whether few integers, with this squared norm each, fit badly and no search has given them for a while."""
+    if memory[SINCE_SEARCH] > 1.0 or integers >= WEAK_COUNT:
+        return False
+    return bool(memory[LONE_S] >= LONE_LEAST_S and misfit > LONE_FIT)
+
+
+@kernel_in_place
 def is_unsafe(integers: int, level: float) -> bool:
     """Return whether integers are so few, with codes of this variance factor (infinite: not known), that they must be proven."""
     return integers <= FEW_INTEGERS and are_worse(level, MIRRORED_CODES)
@@ -59,10 +71,13 @@ def note_proof(memory: Vector, confirmed: float, odds: float, time_s: float) -> 
     step_s = min(time_s - memory[NOTED_S], AT_MOST_S)
     memory[NOTED_S] = time_s
     if memory[HELD_SINCE_S] == time_s:
-        memory[AGREED_S], memory[PROVEN_S] = 0.0, 0.0
+        memory[AGREED_S], memory[PROVEN_S], memory[LONE_S] = 0.0, 0.0, 0.0
     elif memory[CONFIRMED] > confirmed:
         memory[AGREED_S] += step_s
         memory[PROVEN_S] += step_s if odds >= PROOF_ODDS else 0.0
+        memory[LONE_S] = 0.0
+    else:
+        memory[LONE_S] += step_s
 
 
 @kernel_in_place

@@ -26,14 +26,16 @@ SLOPE_SIGMA_M: Final = 0.03  # per channel between makes (Wanninger 2012, J. Geo
 # What is remembered of one filter from epoch to epoch, in the memory of ``resolve``. SLOPE_* and SLOPE_SIGMA_* (m) are those of GLONASS
 # phase biases per channel on G1 and G2 (``slopes``); LAST_* are numbers of the last free search; UNAGREED counts epochs since one gave
 # what is held (``integrity``), MISSED those since the last fix, at LAST_FIX_S (``agreement``), FIX_SIGMA is the sigma of that in 3D (m);
-# AGREED_S and PROVEN_S say for how long searches have given what is held, and have done so clearly, as of NOTED_S (``agreement``); SHARE
-# is for how much the epoch counts (``predicted``); truth values are 0.0 and 1.0.
+# AGREED_S and PROVEN_S say for how long searches have given what is held, and have done so clearly, LONE_S since when none has, as of
+# NOTED_S (``agreement``); SHARE is for how much the epoch counts (``predicted``); OBJECTED whether all satellites but one gave others
+# (``objections``); truth values are 0.0 and 1.0.
 (
     STREAK_START_S, STREAK_EPOCHS, DOUBTS, HELD_SINCE_S, CONFIRMED, SHOWN, SINCE_SEARCH, TRUSTS_GLONASS, GLONASS_VOTES, SLOPE_G1, SLOPE_G2,
     SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, LAST_COUNT, LAST_NORM, LAST_SECOND, LAST_SUCCESS, LAST_ODDS, INFORMED, UNAGREED, LAST_FIX_S, MISSED,
-    FIX_SIGMA, AGREED_S, PROVEN_S, NOTED_S, SHARE,
-) = range(27)  # fmt: skip
-MEMORY: Final = 27
+    FIX_SIGMA, AGREED_S, PROVEN_S, NOTED_S, SHARE, OBJECTED,
+    LONE_S,
+) = range(29)  # fmt: skip
+MEMORY: Final = 29
 _OF_INTEGERS: Final = np.ones(MEMORY, np.bool_)
 _OF_INTEGERS[[TRUSTS_GLONASS, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2]] = False
 _NOTHING: Final = np.zeros(MEMORY)

@@ -15,7 +15,7 @@ from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratc
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
 from rtkmesh.rtk.acceptance import FAR_M, Question, log_space, search_all, try_new
-from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_unsafe, stands_alone
+from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_left_alone, is_unsafe, stands_alone
 from rtkmesh.rtk.ambiguity import (
     Candidates,
     Search,
@@ -29,7 +29,7 @@ from rtkmesh.rtk.ambiguity import (
     write_held_differences,
 )
 from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
-from rtkmesh.rtk.calm import calmed, excess_of
+from rtkmesh.rtk.calm import place_calmly
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -44,6 +44,7 @@ from rtkmesh.rtk.memory import (
     LAST_ODDS,
     LAST_SECOND,
     LAST_SUCCESS,
+    OBJECTED,
     SHARE,
     SHOWN,
     SINCE_SEARCH,
@@ -54,6 +55,7 @@ from rtkmesh.rtk.memory import (
     ResolveSetup,
     release,
 )
+from rtkmesh.rtk.objections import hear_objections
 from rtkmesh.rtk.predicted import WEAK_M, carry, departure, learn_fix, with_prediction
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.solution import Reason
@@ -133,6 +135,8 @@ def decide(
     free = told
     if len(held) >= 3:
         confirmed = memory[CONFIRMED]
+        if not is_reflected(level) and not _is_far(f):
+            hear_objections(f, candidates, len(held), memory, setup)
         _watch(f, held, free, memory, setup, prediction)
         if memory[CONFIRMED] > confirmed and len(free.pairs) > len(held) and _extends(f, free, setup.confidence * asked_of_told):
             extend(f, free)
@@ -215,7 +219,8 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
             same = same and other[k] == integers[k]
         if same:
             memory[CONFIRMED] += 1.0
-            if memory[CONFIRMED] >= CONFIRMATIONS and free.odds >= setup.confidence * ACCEPT_AFTER_STREAK:
+            least = ACCEPT_AT_ONCE if memory[OBJECTED] > 0.0 else ACCEPT_AFTER_STREAK
+            if memory[CONFIRMED] >= CONFIRMATIONS and free.odds >= setup.confidence * least:
                 memory[SHOWN] = 1.0
         else:
             against = free.odds >= setup.confidence * ACCEPT_AT_ONCE and free.norm <= NORM_LIMIT * len(free.pairs)
@@ -262,16 +267,18 @@ def fix(
         integers, dynamic = held_differences(f, pairs), scratch_indices(DYNAMIC)
         for i in range(DYNAMIC):
             dynamic[i] = i
-        placing = calmed(f, excess_of(f, pairs, integers)) if calm else f
-        norm = condition(placing.x, placing.P, pairs, integers, 0.0, dynamic, x, P)
         if calm:
+            place_calmly(f, pairs, integers, dynamic, x, P)
             norm = norm_of(f, pairs, integers)
+        else:
+            norm = condition(f.x, f.P, pairs, integers, 0.0, dynamic, x, P)
         sigma_m = _sigma_m(P)
         away = departure(x, P, prediction) if isfinite(prediction[3]) else 0.0
         if sigma_m > WEAK_M and is_street(level) and isfinite(prediction[3]) and not _is_far(f):
             carry(x, P, prediction, memory[FIX_SIGMA])
             sigma_m = _sigma_m(P)
         alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds)
+        alone = alone or (is_street(level) and is_left_alone(memory, count, norm / count))
         reason = FIX_OK
         if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
             reason = NOT_VALID
