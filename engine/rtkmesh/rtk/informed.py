@@ -88,16 +88,16 @@ def settle(
     held, time_s = pairs_of(held_among(witness, candidates)), motion.times_s[0]
     if len(held) < 4:
         memory[INFORMED] = 0.0
-        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level, False), _nothing(informed), 0.0)
+        return Settled(fix(witness, witness, False, candidates, free, memory, setup, prediction, time_s, level), _nothing(informed), 0.0)
     if len(informed.keys) == 0 or memory[HELD_SINCE_S] == time_s:
         informed, memory[INFORMED] = begin_informed(witness), 0.0
     norm, told = norm_of(witness, held, held_differences(witness, held)), inform(informed, witness, d, motion, use)
     if len(told.held) < 4:
-        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level, False), told.filter, norm)
+        return Settled(fix(witness, witness, False, candidates, free, memory, setup, prediction, time_s, level), told.filter, norm)
     memory[INFORMED] = memory[INFORMED] + 1.0 if told.strain <= STRAIN_SURE else 0.0
     if told.strain > 1.0:
         note(witness, True, memory, prediction)
-    return Settled(fix(told.filter, told.candidates, free, memory, setup, prediction, time_s, level, False), told.filter, norm)
+    return Settled(fix(told.filter, told.filter, False, told.candidates, free, memory, setup, prediction, time_s, level), told.filter, norm)
 
 
 @kernel

@@ -15,7 +15,7 @@ from rtkmesh.rtk.agreement import note_fix, note_proof
 from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
-from rtkmesh.rtk.calm import is_atmospheric
+from rtkmesh.rtk.calm import calmed, is_atmospheric
 from rtkmesh.rtk.code_arcs import since_seen
 from rtkmesh.rtk.code_errors import float_factor
 from rtkmesh.rtk.informed import Motion, Settled, Use, begin_informed, settle
@@ -23,6 +23,7 @@ from rtkmesh.rtk.integrity import IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SHARE, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
+from rtkmesh.rtk.placing import in_full, is_dense, place_by_epoch
 from rtkmesh.rtk.predicted import learn_fix, share_of_step, spread
 from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution, describe_slopes
@@ -111,7 +112,8 @@ class Known(NamedTuple):
 class Look(NamedTuple):
     """How integers are looked for: with the informed filter (``far``), or with the atmosphere as a state of the witness that the place of a
     fix has nothing of (``calm``), at this length of the baseline, with phases whose variance is this
-    factor of the filter's (``sharper``, 1: the same), and codes of this variance factor (``level``, infinite: not known).
+    factor of the filter's (``sharper``, 1: the same), and codes of this variance factor (``level``, infinite: not known); ``apart``: fixes
+    are placed by the epoch alone (``placing``).
     """
 
     far: bool
@@ -119,6 +121,7 @@ class Look(NamedTuple):
     length_m: float
     sharper: float
     level: float
+    apart: bool
 
 
 class Solved(NamedTuple):
@@ -208,6 +211,8 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     _note_walk(known, arranged, model_ecef_m, setup.slip)
     known.memory[SHARE] = share_of_step(time_s - known.times_s[2])
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
+    dense = is_dense(layout)
+    prior = Filter(f.x.copy(), f.P.copy(), f.keys, f.history) if dense else f
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     if not outcome.ok or not is_finite(f.x, f.P):
         return Solved(NOT_FINITE, f, informed, f.x, f.P, figures, np.zeros((0, 0)), f.P)
@@ -227,9 +232,13 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if not setup.resolving:
         resolution = not_resolved()
     else:
+        apart = dense and not far and sharper == 1.0
+        place = f
+        if apart:
+            place = place_by_epoch(prior, d, in_full(layout), known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
         motion = Motion(known.times_s, expected, modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
-        look = Look(far, atmospheric and not far, length_m, sharper, level)
-        settled = _find_integers(f, informed, d, candidates, known, setup, look, motion)
+        look = Look(far, atmospheric and not far, length_m, sharper, level, apart)
+        settled = _find_integers(f, place, informed, d, candidates, known, setup, look, motion)
         resolution, informed = settled.resolution, settled.informed
         sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
         if wanted and (not resolution.fixed or resolution.odds < known.least_odds):
@@ -263,9 +272,12 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
 
 @kernel
 def _find_integers(
-    f: Filter, informed: Filter, d: Differences, candidates: Candidates, known: Known, setup: Setup, look: Look, motion: Motion
-) -> Settled:
-    """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter."""
+    f: Filter, place: Filter, informed: Filter, d: Differences, candidates: Candidates, known: Known, setup: Setup, look: Look,
+    motion: Motion,
+) -> Settled:  # fmt: skip
+    """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter. ``place`` is the filter
+    that says where they put the rover, if that is another (``look.apart``).
+    """
     time_s, confirmed = known.times_s[0], known.memory[CONFIRMED]
     sharp = with_sharper_phases(f, look.sharper) if look.sharper < 1.0 else f
     free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, look.level)
@@ -279,7 +291,12 @@ def _find_integers(
         return settled
     note_agreement(known.memory, confirmed, time_s)
     note_proof(known.memory, confirmed, free.odds, time_s)
-    resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level, look.calm)
+    placing = place if look.apart else sharp
+    if look.calm:
+        placing = calmed(placing)
+    resolution = fix(
+        sharp, placing, look.apart or look.calm, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level
+    )
     note_fix(known.memory, resolution.fixed, time_s)
     norm = held_norm(f, candidates) if look.sharper < 1.0 else resolution.norm
     if len(informed.keys) > 0:  # the rover has come near

@@ -29,7 +29,6 @@ from rtkmesh.rtk.ambiguity import (
     write_held_differences,
 )
 from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
-from rtkmesh.rtk.calm import calmed
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -247,11 +246,12 @@ def note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
 
 @kernel
 def fix(
-    f: Filter, candidates: Candidates, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float,
-    level: float, calm: bool,
+    f: Filter, placing: Filter, apart: bool, candidates: Candidates, free: Search, memory: Vector, setup: ResolveSetup,
+    prediction: Vector, time_s: float, level: float,
 ) -> Resolution:  # fmt: skip
-    """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``), ``calm``: the
-    place is that of an atmosphere which is the same at both ends.
+    """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``).
+    ``placing`` is the filter, of the same states, that says where these integers put the rover; ``apart``: it is not ``f``, by which they
+    are believed.
     """
     pairs, x, P = pairs_of(held_among(f, candidates)), np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
     count, grade, sigma_m, norm = len(pairs), 0, np.nan, 0.0
@@ -261,9 +261,8 @@ def fix(
         integers, dynamic = held_differences(f, pairs), scratch_indices(DYNAMIC)
         for i in range(DYNAMIC):
             dynamic[i] = i
-        placing = calmed(f) if calm else f
         norm = condition(placing.x, placing.P, pairs, integers, 0.0, dynamic, x, P)
-        if calm:
+        if apart:
             norm = norm_of(f, pairs, integers)
         sigma_m = _sigma_m(P)
         away = departure(x, P, prediction) if isfinite(prediction[3]) else 0.0
