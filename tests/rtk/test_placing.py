@@ -8,12 +8,12 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from tests.rtk.test_slopes import epoch, solved
+from tests.rtk.test_slopes import BASELINE_M, epoch, solved
 
 from rtkmesh.rtk.bookkeeping import apply_slips, remember
 from rtkmesh.rtk.noise import new_code_scale, phase_factor
 from rtkmesh.rtk.placing import in_full, is_dense, place_by_epoch
-from rtkmesh.rtk.residuals import PHASE, PHASE_VARIANCE
+from rtkmesh.rtk.residuals import CODE, PHASE, PHASE_VARIANCE
 from rtkmesh.rtk.slips import NO_SLIP, Verdicts
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, REJECTS
 from rtkmesh.rtk.update import Layout, update
@@ -21,19 +21,19 @@ from rtkmesh.rtk.update import Layout, update
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 INFLATION = 9.0  # at 10 Hz
 STILL = np.full(3, np.nan), np.full((3, 3), np.nan)
-TENTH_S = 0.1
 
 
-def settled(inflation=INFLATION):
-    """Return a filter that knows its ambiguities to a hundredth of a cycle and its place to 2 cm, and the next epoch with its layout."""
-    d, integers = epoch(bands=(1,))
+def settled(inflation=INFLATION, astray_m=(0.0, 0.0, 0.0)):
+    """Return a filter that knows the ambiguities of eight satellites to a hundredth of a cycle, and its place to 2 cm (it is off by
+    ``astray_m``); the next epoch with its layout.
+    """
+    d, integers = epoch(bands=(1,), order=np.arange(8))
     f, _ = solved(d, integers)
-    f.P[DYNAMIC:] = f.P[:, DYNAMIC:] = 0.0
-    f.P[:3, :3] = 0.02**2 * np.eye(3)
-    for i in range(DYNAMIC, len(f.x)):
-        f.P[i, i] = 0.01**2 if i >= len(f.x) - len(integers) else 1e-8
-    n = len(integers)
-    rows = np.arange(len(f.keys) - n, len(f.keys))
+    n, rows = len(integers), np.arange(len(f.keys) - len(integers), len(f.keys))
+    f.P[:, :] = np.diag(np.concatenate([np.full(3, 0.02**2), np.ones(6), np.full(len(f.keys), 0.01**2)]))
+    f.x[:3] = BASELINE_M + np.array(astray_m)
+    for column in (CODE, PHASE):  # what an epoch has beyond the place that the filter expects
+        d.table[:, column] += d.rover_direction @ f.x[:3]
     nowhere = np.full(n, -1)
     return f, d, Layout(rows, nowhere, nowhere, -1, np.full(n, 40.0), np.full(n, inflation))
 
@@ -47,16 +47,14 @@ def test_only_phases_that_count_in_part_make_an_epoch_dense():
 
 def test_a_place_that_the_past_has_led_away_comes_back_with_the_epochs_phases():
     """The filter itself follows by its inflated phases; what it was, and what is known of the noise, stay as they were."""
-    f, d, layout = settled()
-    truth_m, scale = f.x[:3].copy(), new_code_scale()
-    f.x[:3] += np.array([0.03, -0.02, 0.04])
+    (f, d, layout), scale = settled(astray_m=(0.03, -0.02, 0.04)), new_code_scale()
     before = f.x.copy(), f.P.copy()
     place = place_by_epoch(f, d, in_full(layout), scale, *STILL)
     assert (f.x == before[0]).all()
     assert (before[1] == f.P).all()
     assert not scale.any()
     assert update(f, d, layout, scale, *STILL).ok
-    errors_m = [np.linalg.norm(x[:3] - truth_m) for x in (place.x, f.x)]
+    errors_m = [np.linalg.norm(x[:3] - BASELINE_M) for x in (place.x, f.x)]
     assert errors_m[0] < 0.5 * errors_m[1]
     assert np.trace(place.P[:3, :3]) < np.trace(f.P[:3, :3])
 
@@ -66,9 +64,7 @@ def test_a_phase_that_does_not_fit_is_put_aside_at_every_rate(inflation):
     """What its epoch counts for in the filter makes no phase worse than it is: it was 13 cm at 10 Hz for what is 4 at 1 Hz."""
     f, d, layout = settled(inflation)
     sigma_m = np.sqrt(d.table[3, PHASE_VARIANCE] * phase_factor(new_code_scale()))
-    f.P[:3, :3] = 1e-4**2 * np.eye(3)
-    for i in range(DYNAMIC, len(f.x)):
-        f.P[i, i] = 1e-10
+    f.P[:3, :3], f.P[DYNAMIC:, DYNAMIC:] = 1e-4**2 * np.eye(3), 1e-10 * np.eye(len(f.keys))
     d.table[3, PHASE] += 7.0 * sigma_m
     used = update(f, d, layout, new_code_scale(), *STILL).phase_used
     assert used.tolist() == [k != 3 for k in range(len(used))]

@@ -25,7 +25,10 @@ LOOSE_M: Final = 1.0  # sigma of each coordinate on top of what the past says: m
 @kernel_in_place
 def is_dense(layout: Layout) -> bool:
     """Return whether phases of this epoch are weighted for less than they are."""
-    return bool(layout.phase_inflation.max() > 1.0)
+    dense = False
+    for inflation in layout.phase_inflation:
+        dense = dense or bool(inflation > 1.0)
+    return dense
 
 
 @kernel
