@@ -12,6 +12,7 @@ from rtkmesh.rtk.asked_odds import STREET_CODES
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import DOUBTS, FIX_SIGMA, HELD_SINCE_S, PROVEN_S, SHOWN, new_memory, resolve_setup
 from rtkmesh.rtk.options import AmbiguityOptions
+from rtkmesh.rtk.placing import by_itself
 from rtkmesh.rtk.predicted import FULL_STEP_S, PREDICTION_FLOOR_M, WEAK_M, carry, departure, learn_fix, share_of_step, spread
 from rtkmesh.rtk.redundancy import LEAST_SATELLITES, count_satellites
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, HISTORY, INTEGER, Filter
@@ -73,7 +74,8 @@ def fixed(
     candidates = Candidates(np.arange(n), np.zeros(n, np.int64), np.arange(n) + 1, np.arange(n) + 1.0)
     free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, odds, False)
     setup = resolve_setup(options, length_m, 0.01)
-    return fix(floating(held, phase_sigma_m), candidates, free, memory, setup, prediction, 1.0, level, False), memory[DOUBTS]
+    f = floating(held, phase_sigma_m)
+    return fix(f, by_itself(f), candidates, free, memory, setup, prediction, 1.0, level), memory[DOUBTS]
 
 
 def predicted(at_m, sigma_m=0.01):
@@ -253,7 +255,7 @@ def test_four_satellites_are_not_shown(count, length_m, reason):
     candidates = Candidates(np.arange(n), np.tile([0, 1], count), satellites, np.arange(n) + 1.0)
     free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, -np.inf, False)
     prediction = predicted(TRUE_M)
-    shown = fix(f, candidates, free, memory, resolve_setup(AmbiguityOptions(), length_m, 0.01), prediction, 1.0, 1.0, False)
+    shown = fix(f, by_itself(f), candidates, free, memory, resolve_setup(AmbiguityOptions(), length_m, 0.01), prediction, 1.0, 1.0)
     assert shown.reason == reason
     assert np.linalg.norm(prediction[:3] - TRUE_M) < 0.02
 

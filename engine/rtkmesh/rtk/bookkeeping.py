@@ -13,6 +13,7 @@ from rtkmesh.rtk.ambiguity import Candidates
 from rtkmesh.rtk.code_arcs import inflation_of
 from rtkmesh.rtk.filter import predict_motion, reset_state
 from rtkmesh.rtk.phase_arcs import phase_inflations
+from rtkmesh.rtk.predicted import share_of_step
 from rtkmesh.rtk.residuals import BASE_PHASE, CHANNEL, CODE, ELEVATION_RAD, PHASE, ROVER_PHASE, WAVELENGTH, Differences
 from rtkmesh.rtk.slips import CERTAIN, KNOWN_SLIP, NO_SLIP, SlipSetup, Verdicts, find_slips
 from rtkmesh.rtk.slopes import Slopes, begin_slope
@@ -53,6 +54,7 @@ _LARGEST: Final = 1e30
 _AMBIGUITY_VARIANCE_CYC2: Final = 100.0**2
 _GLONASS_VARIANCE_CYC2: Final = 20.0**2  # wavelengths differ by channel: the common part must be known to some metres
 _KNOWN_SLIP_VARIANCE_CYC2: Final = 0.2**2
+_REJECTS_MOST: Final = 2.0 - 1e-6  # parts of a second add up to it
 
 
 class Walks(NamedTuple):
@@ -231,7 +233,7 @@ def apply_slips(x: Vector, P: Matrix, history: Matrix, place: Indices, verdicts:
     for k in range(len(place)):
         if place[k] < 0 or not history[place[k], ARC_EPOCHS] >= 0.0:
             continue
-        row, again, verdict = history[place[k]], history[place[k], REJECTS] >= 2.0, verdicts.slip[k]
+        row, again, verdict = history[place[k]], history[place[k], REJECTS] >= _REJECTS_MOST, verdicts.slip[k]
         if verdict == NO_SLIP and not again:
             continue
         row[SLIPS] += 1.0
@@ -301,12 +303,13 @@ def remember(f: Filter, d: Differences, layout: Layout, phase_used: NDArray[np.b
         if layout.ambiguity[k] < 0:
             continue
         row = f.history[layout.ambiguity[k]]
+        share = share_of_step(time_s - row[SEEN_S])
         row[SEEN_S], row[ROVER_S], row[BASE_S] = time_s, time_s, d.base_s[k]
         row[ROVER_M], row[BASE_M] = d.table[k, ROVER_PHASE], d.table[k, BASE_PHASE]
         row[ROVER_LOCK_S], row[BASE_LOCK_S] = d.lock_s[k, 0], d.lock_s[k, 1]
         row[AWAY_ROVER:] = 0.0
         row[ARC_EPOCHS] += 1.0
-        row[REJECTS] = 0.0 if phase_used[k] else row[REJECTS] + 1.0
+        row[REJECTS] = 0.0 if phase_used[k] else row[REJECTS] + share
 
 
 @kernel

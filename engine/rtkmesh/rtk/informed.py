@@ -17,6 +17,7 @@ from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYS
 from rtkmesh.rtk.ambiguity import Candidates, Search, held_among, held_differences, pairs_of, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup
+from rtkmesh.rtk.placing import by_itself
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, PHASE, Differences
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, ZENITH_KEY, Filter, is_ionosphere, place_of
@@ -88,16 +89,20 @@ def settle(
     held, time_s = pairs_of(held_among(witness, candidates)), motion.times_s[0]
     if len(held) < 4:
         memory[INFORMED] = 0.0
-        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level, False), _nothing(informed), 0.0)
+        return Settled(
+            fix(witness, by_itself(witness), candidates, free, memory, setup, prediction, time_s, level), _nothing(informed), 0.0
+        )
     if len(informed.keys) == 0 or memory[HELD_SINCE_S] == time_s:
         informed, memory[INFORMED] = begin_informed(witness), 0.0
     norm, told = norm_of(witness, held, held_differences(witness, held)), inform(informed, witness, d, motion, use)
     if len(told.held) < 4:
-        return Settled(fix(witness, candidates, free, memory, setup, prediction, time_s, level, False), told.filter, norm)
+        return Settled(fix(witness, by_itself(witness), candidates, free, memory, setup, prediction, time_s, level), told.filter, norm)
     memory[INFORMED] = memory[INFORMED] + 1.0 if told.strain <= STRAIN_SURE else 0.0
     if told.strain > 1.0:
         note(witness, True, memory, prediction)
-    return Settled(fix(told.filter, told.candidates, free, memory, setup, prediction, time_s, level, False), told.filter, norm)
+    return Settled(
+        fix(told.filter, by_itself(told.filter), told.candidates, free, memory, setup, prediction, time_s, level), told.filter, norm
+    )
 
 
 @kernel

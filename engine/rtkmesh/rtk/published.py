@@ -85,7 +85,7 @@ def fix_covariance(
         learn_fix(scale, epoch.chi2, float(epoch.dof))
     own = _turned(P, turn, 1.0 / filters)
     tells = epoch.solved and _is_sound(epoch.cov, own[0, 0] + own[1, 1] + own[2, 2])
-    enu = fix_of_both(own, epoch, _mean_inflation(layout, update)) if tells else own
+    enu = fix_of_both(own, epoch) if tells else own
     factor = fix_factor(scale)
     enu *= factor
     enu[0, 0] += (SMOOTH_HORIZONTAL * length_m) ** 2
@@ -95,37 +95,18 @@ def fix_covariance(
 
 
 @kernel
-def fix_of_both(own: Matrix, epoch: Epochwise, inflation: float) -> Matrix:
+def fix_of_both(own: Matrix, epoch: Epochwise) -> Matrix:
     """Return the covariance (ENU, for phases of the default sigma) of a fix, of its epoch's and the filter's, ``own``.
 
-    Where epochs follow each other sooner than after a second the filter weighs phases by inflated variances, but their noise is not: it is
-    K R K' instead of K (r R) K', with the gain K = P H' (r R)^-1. What it remembers counts the more, as it is of the same seconds; but what
-    is less sure than the epoch alone has nothing to say.
+    The filter has a part by what it remembers, but none if it is less sure than the epoch alone.
     """
-    out, noise, share = np.empty((3, 3)), (inflation - 1.0) / inflation**2, 1.0 - (1.0 - FILTER_SHARE) / inflation
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = own[i, j]
-            for a in range(3 if noise > 0.0 else 0):
-                for b in range(3):
-                    out[i, j] -= noise * own[i, a] * epoch.reduced[a, b] * own[b, j]
-    if out[0, 0] + out[1, 1] + out[2, 2] > epoch.cov[0, 0] + epoch.cov[1, 1] + epoch.cov[2, 2]:
+    out, share = np.empty((3, 3)), FILTER_SHARE
+    if own[0, 0] + own[1, 1] + own[2, 2] > epoch.cov[0, 0] + epoch.cov[1, 1] + epoch.cov[2, 2]:
         share = 0.0
     for i in range(3):
         for j in range(3):
-            out[i, j] = (1.0 - share) * epoch.cov[i, j] + share * out[i, j]
+            out[i, j] = (1.0 - share) * epoch.cov[i, j] + share * own[i, j]
     return out
-
-
-@kernel_in_place
-def _mean_inflation(layout: Layout, update: Update) -> float:
-    """Return by how much the variances of the phases in use are inflated."""
-    total, count = 0.0, 0
-    for k in range(len(layout.phase_inflation)):
-        if update.phase_used[k]:
-            total += layout.phase_inflation[k]
-            count += 1
-    return total / max(count, 1)
 
 
 @kernel

@@ -23,6 +23,7 @@ from rtkmesh.rtk.integrity import Guard, IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SHARE, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, ResolveSetup
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS, IONOSPHERE_PPM, ZENITH_SIGMA_M, learn_phases, phase_factor
+from rtkmesh.rtk.placing import Placing, in_full, is_dense, place_by_epoch
 from rtkmesh.rtk.predicted import learn_fix, share_of_step, spread
 from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution, describe_slopes
@@ -112,7 +113,8 @@ class Known(NamedTuple):
 class Look(NamedTuple):
     """How integers are looked for: with the informed filter (``far``), or with the atmosphere as a state of the witness that the place of a
     fix has nothing of (``calm``), at this length of the baseline, with phases whose variance is this
-    factor of the filter's (``sharper``, 1: the same), and codes of this variance factor (``level``, infinite: not known).
+    factor of the filter's (``sharper``, 1: the same), and codes of this variance factor (``level``, infinite: not known); ``apart``: fixes
+    are placed by the epoch alone (``placing``).
     """
 
     far: bool
@@ -120,6 +122,7 @@ class Look(NamedTuple):
     length_m: float
     sharper: float
     level: float
+    apart: bool
 
 
 class Updated(NamedTuple):
@@ -227,11 +230,13 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     _note_walk(known, arranged, model_ecef_m, setup.slip)
     known.memory[SHARE] = share_of_step(step_s)
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
+    dense = is_dense(layout)
+    prior = Filter(f.x.copy(), f.P.copy(), f.keys, f.history) if dense else f
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     if not outcome.ok or not is_finite(f.x, f.P):
         return unsolved(NOT_FINITE, f, informed)
     remember(f, d, layout, outcome.phase_used, time_s)
-    look = _look_of(known, setup, length_m, atmospheric, far)
+    look = _look_of(known, setup, length_m, atmospheric, far, dense)
     candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
     wanted = isfinite(known.least_odds)
     if wanted and not look.far and not is_clear(f, candidates, known.memory, setup.resolve, look.level, known.least_odds):
@@ -242,7 +247,10 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if not setup.resolving:
         return _published(updated, informed, not_resolved(), False, float_scale, look, known, setup)
     motion = Motion(known.times_s, expected, updated.modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
-    settled = _find_integers(f, informed, d, candidates, known, setup, look, motion)
+    place = f
+    if look.apart:
+        place = place_by_epoch(prior, d, in_full(layout), known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
+    settled = _find_integers(f, place, informed, d, candidates, known, setup, look, motion)
     resolution, informed = settled.resolution, settled.informed
     sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
     if wanted and (not resolution.fixed or resolution.odds < known.least_odds):
@@ -254,12 +262,12 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
 
 
 @kernel
-def _look_of(known: Known, setup: Setup, length_m: float, atmospheric: bool, far: bool) -> Look:
-    """Return how integers are looked for in this epoch."""
+def _look_of(known: Known, setup: Setup, length_m: float, atmospheric: bool, far: bool, dense: bool) -> Look:
+    """Return how integers are looked for in this epoch; ``dense``: its phases count for less than they are worth (``placing``)."""
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
     level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
-    return Look(far, atmospheric and not far, length_m, sharper, level)
+    return Look(far, atmospheric and not far, length_m, sharper, level, dense and not far and sharper == 1.0)
 
 
 @kernel
@@ -304,9 +312,12 @@ def _guarded(u: Updated, resolution: Resolution, held: tuple[int, int], look: Lo
 
 @kernel
 def _find_integers(
-    f: Filter, informed: Filter, d: Differences, candidates: Candidates, known: Known, setup: Setup, look: Look, motion: Motion
-) -> Settled:
-    """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter."""
+    f: Filter, place: Filter, informed: Filter, d: Differences, candidates: Candidates, known: Known, setup: Setup, look: Look,
+    motion: Motion,
+) -> Settled:  # fmt: skip
+    """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter. ``place`` is the filter
+    that says where they put the rover, if that is another (``look.apart``).
+    """
     time_s, confirmed = known.times_s[0], known.memory[CONFIRMED]
     sharp = with_sharper_phases(f, look.sharper) if look.sharper < 1.0 else f
     free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, look.level)
@@ -320,7 +331,8 @@ def _find_integers(
         return settled
     note_agreement(known.memory, confirmed, time_s)
     note_proof(known.memory, confirmed, free.odds, time_s)
-    resolution = fix(sharp, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level, look.calm)
+    placing = Placing(place if look.apart else sharp, look.apart, look.calm)
+    resolution = fix(sharp, placing, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level)
     note_fix(known.memory, resolution.fixed, time_s)
     norm = held_norm(f, candidates) if look.sharper < 1.0 else resolution.norm
     if len(informed.keys) > 0:  # the rover has come near

@@ -129,7 +129,7 @@ def update(f: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mp
             break
         factors[:] = found
     for _ in range(_ROUNDS):
-        if not ok or screen(work, n) == 0:
+        if not ok or screen(work, layout.phase_inflation) == 0:
             break
         ok = adjust(f, work, velocity_mps, velocity_cov_m2ps2)
     if ok:
@@ -227,11 +227,11 @@ def code_statistics(d: Differences, work: Work, out: Matrix) -> None:
 
 
 @kernel_in_place
-def screen(work: Work, count: int) -> int:
+def screen(work: Work, phase_inflation: Vector) -> int:
     """Put aside (negative weight) the worst observation of each group that is beyond its limit, if it is not far better than the worst
-    of all; return how many. The first ``count`` rows are codes.
+    of all; return how many. Codes come first, then as many phases, which are held against their own sigmas without the inflation.
     """
-    observations, groups = work.observations, work.mean.shape[0]
+    observations, groups, count = work.observations, work.mean.shape[0], len(phase_inflation)
     ratio, best, worst = scratch(observations.shape[0]), scratch_indices(groups), 0.0
     ratio[:], best[:] = 0.0, -1
     for k in range(observations.shape[0]):
@@ -239,6 +239,8 @@ def screen(work: Work, count: int) -> int:
         if not (w > 0.0 and work.variance[k] > 0.01 / w):
             continue
         ratio[k] = abs(work.value[k]) / np.sqrt(work.variance[k]) / (CODE_LIMIT if k < count else PHASE_LIMIT)
+        if k >= count:
+            ratio[k] *= np.sqrt(phase_inflation[k - count])
         worst = max(worst, ratio[k])
         group = work.places[k, GROUP]
         if best[group] < 0 or ratio[k] > ratio[best[group]]:

@@ -29,7 +29,6 @@ from rtkmesh.rtk.ambiguity import (
     write_held_differences,
 )
 from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, is_reflected, is_street
-from rtkmesh.rtk.calm import place_calmly
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -56,6 +55,7 @@ from rtkmesh.rtk.memory import (
     release,
 )
 from rtkmesh.rtk.objections import hear_objections
+from rtkmesh.rtk.placing import Placing, place_integers
 from rtkmesh.rtk.predicted import WEAK_M, carry, departure, learn_fix, with_prediction
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.solution import Reason
@@ -253,11 +253,11 @@ def note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
 
 @kernel
 def fix(
-    f: Filter, candidates: Candidates, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float,
-    level: float, calm: bool,
+    f: Filter, placing: Placing, candidates: Candidates, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector,
+    time_s: float, level: float,
 ) -> Resolution:  # fmt: skip
-    """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``), ``calm``: the
-    place is that of an atmosphere which is the same at both ends.
+    """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``).
+    ``placing`` says where these integers put the rover, which are believed by ``f``.
     """
     pairs, x, P = pairs_of(held_among(f, candidates)), np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
     count, grade, sigma_m, norm = len(pairs), 0, np.nan, 0.0
@@ -267,11 +267,9 @@ def fix(
         integers, dynamic = held_differences(f, pairs), scratch_indices(DYNAMIC)
         for i in range(DYNAMIC):
             dynamic[i] = i
-        if calm:
-            place_calmly(f, pairs, integers, dynamic, x, P)
+        norm = place_integers(placing, pairs, integers, dynamic, x, P)
+        if placing.apart or placing.calm:
             norm = norm_of(f, pairs, integers)
-        else:
-            norm = condition(f.x, f.P, pairs, integers, 0.0, dynamic, x, P)
         sigma_m = _sigma_m(P)
         away = departure(x, P, prediction) if isfinite(prediction[3]) else 0.0
         if sigma_m > WEAK_M and is_street(level) and isfinite(prediction[3]) and not _is_far(f):

@@ -1,0 +1,87 @@
+"""Where the integers of an epoch put the rover, when epochs follow each other within a second.
+
+The filter takes phases of successive epochs for worse than they are, so that all of a second say of ambiguities what one epoch says at 1 Hz
+(``phase_arcs``). But what an epoch says of its own place is not said twice: placed by phases of such variances, the rover goes where
+Dopplers and motion lead it from where it was. And where it was a tenth of a second ago is no second witness, for that has the same
+multipath in it. At 1 Hz nobody knows so well where it has gone since; so an epoch is placed here.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtkmesh._jit import kernel, kernel_in_place
+from rtkmesh.rtk.ambiguity import condition
+from rtkmesh.rtk.calm import place_calmly
+from rtkmesh.rtk.residuals import Differences
+from rtkmesh.rtk.state import Filter
+from rtkmesh.rtk.update import Layout, update
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+LOOSE_M: Final = 1.0  # sigma of each coordinate on top of what the past says: more than phases and held integers, less than codes
+
+
+class Placing(NamedTuple):
+    """What says where integers put the rover: a filter with the states of the one by which they are believed; ``apart``: it is another one,
+    of the epoch alone; ``calm``: the place has little of the atmosphere's states.
+    """
+
+    f: Filter
+    apart: bool
+    calm: bool
+
+
+@kernel_in_place
+def by_itself(f: Filter) -> Placing:
+    """Return the filter by which integers are believed as what places them."""
+    return Placing(f, False, False)
+
+
+@kernel
+def place_integers(p: Placing, pairs: Indices, integers: Vector, dynamic: Indices, x: Vector, P: Matrix) -> float:
+    """Write the dynamic states and their covariance given integers; return their squared norm by this filter (a calm one: 0)."""
+    if not p.calm:
+        return condition(p.f.x, p.f.P, pairs, integers, 0.0, dynamic, x, P)
+    place_calmly(p.f, pairs, integers, dynamic, x, P)
+    return 0.0
+
+
+@kernel_in_place
+def is_dense(layout: Layout) -> bool:
+    """Return whether phases of this epoch are weighted for less than they are."""
+    dense = False
+    for inflation in layout.phase_inflation:
+        dense = dense or bool(inflation > 1.0)
+    return dense
+
+
+@kernel
+def in_full(layout: Layout) -> Layout:
+    """Return the layout of an epoch whose phases count in full."""
+    return Layout(
+        layout.ambiguity,
+        layout.ionosphere,
+        layout.slope,
+        layout.zenith,
+        layout.excess,
+        layout.code_inflation,
+        np.ones(len(layout.phase_inflation)),
+    )
+
+
+@kernel
+def place_by_epoch(
+    prior: Filter, d: Differences, layout: Layout, scale: Matrix, velocity_mps: Vector, velocity_cov_m2ps2: Matrix
+) -> Filter:
+    """Return the filter of before the epoch, the place left open, updated by phases that count in full (``layout``): for the place of a
+    fix, not for what is believed of its integers. The noise memory ``scale`` learns nothing.
+    """
+    f = Filter(prior.x.copy(), prior.P.copy(), prior.keys, prior.history)
+    for i in range(3):
+        f.P[i, i] += LOOSE_M * LOOSE_M
+    update(f, d, layout, scale.copy(), velocity_mps, velocity_cov_m2ps2)
+    return f
