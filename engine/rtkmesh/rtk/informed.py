@@ -96,7 +96,8 @@ def settle(
         informed, memory[INFORMED] = begin_informed(witness), 0.0
     norm, told = norm_of(witness, held, held_differences(witness, held)), inform(informed, witness, d, motion, use)
     if len(told.held) < 4:
-        return Settled(fix(witness, by_itself(witness), candidates, free, memory, setup, prediction, time_s, level), told.filter, norm)
+        resolution = fix(witness, by_itself(witness), candidates, free, memory, setup, prediction, time_s, level)
+        return Settled(resolution, told.filter, norm)
     memory[INFORMED] = memory[INFORMED] + 1.0 if told.strain <= STRAIN_SURE else 0.0
     if told.strain > 1.0:
         note(witness, True, memory, prediction)
