@@ -35,7 +35,7 @@ class Placing(NamedTuple):
     calm: bool
 
 
-@kernel_in_place
+@kernel
 def by_itself(f: Filter) -> Placing:
     """Return the filter by which integers are believed as what places them."""
     return Placing(f, False, False)
