@@ -39,7 +39,7 @@ from rtkmesh.rtk.memory import ACCEPT_AFTER_STREAK, ACCEPT_AT_ONCE, new_memory, 
 from rtkmesh.rtk.noise import learn_codes, new_code_scale
 from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.slopes import without_slopes
-from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, ZENITH_KEY, Filter, filter_at
+from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, SLOPE_KEYS, ZENITH_KEY, Filter, filter_at
 from rtkmesh.rtk.validation import decide, is_clear
 from rtkmesh.rtk.witness import LEAST, RIVALS, witnessed
 
@@ -97,6 +97,14 @@ def test_an_epoch_by_itself_is_as_clear_as_what_is_decided_by(level):
     assert (helped > 0) == (level <= FAIR_CODES)
 
 
+def with_two_slopes(f: Filter) -> Filter:
+    """Return the filter with a slope on the second band too, of which nothing is known."""
+    kept = np.delete(np.arange(len(f.x) + 1), DYNAMIC + 1)
+    x, P, history = np.zeros(len(f.x) + 1), np.eye(len(f.x) + 1), np.zeros((len(f.keys) + 1, HISTORY))
+    x[kept], P[np.ix_(kept, kept)] = f.x, f.P
+    return Filter(x, P, np.insert(f.keys, 1, SLOPE_KEYS[1]), history)
+
+
 @pytest.mark.parametrize(("gps", "least"), [(LEAST + 1, OPEN_SLOPE_LEAST), (LEAST, OPEN_SLOPE_FEW)])
 def test_no_slope_is_believed_only_where_an_open_one_gives_the_same_others(gps, least):
     f, everything = floating(np.random.default_rng(3), gps=gps)
@@ -104,7 +112,8 @@ def test_no_slope_is_believed_only_where_an_open_one_gives_the_same_others(gps, 
     others, glonass = straight.integers.copy(), straight.integers.copy()
     others[gps - 2] += 1.0
     glonass[gps - 1] += 1.0
-    enough = straight._replace(odds=least)
+    enough, far = straight._replace(odds=least), np.zeros(len(f.x))
+    far[:3] = 12e3, -16e3, 0.0
     assert bears_out(f, enough, straight)
     assert bears_out(f, enough._replace(integers=glonass), straight)
     assert not bears_out(f, enough._replace(integers=others), straight)
@@ -114,7 +123,11 @@ def test_no_slope_is_believed_only_where_an_open_one_gives_the_same_others(gps, 
     for norm, scale in ((0.5, 1.0), (3.0, 3.0)):  # of each integer: variances may be too small, but are not too large
         sloped = enough._replace(norm=norm * len(enough.pairs))
         assert bears_out(f, sloped, straight._replace(norm=sloped.norm + 0.99 * scale * NO_SLOPE_FIT))
-        assert not bears_out(f, sloped, straight._replace(norm=sloped.norm + 1.01 * scale * NO_SLOPE_FIT))
+        worse = straight._replace(norm=sloped.norm + 1.01 * scale * NO_SLOPE_FIT)
+        assert not bears_out(f, sloped, worse)
+        assert bears_out(f._replace(x=f.x + far), sloped, worse)  # over 20 km
+        two = sloped._replace(pairs=sloped.pairs + 1), worse._replace(pairs=worse.pairs + 1)
+        assert bears_out(with_two_slopes(f), *two)  # each of them may make a fit better by chance
 
 
 def test_what_is_asked_follows_the_codes():

@@ -30,7 +30,7 @@ from rtkmesh.rtk.memory import (
     release,
 )
 from rtkmesh.rtk.redundancy import are_bare
-from rtkmesh.rtk.slopes import without_slopes
+from rtkmesh.rtk.slopes import slope_states, without_slopes
 from rtkmesh.rtk.state import ARC_S, DYNAMIC, INTEGER, STREAK, Filter
 from rtkmesh.rtk.trust import possible, tell_slopes
 from rtkmesh.rtk.witness import LEAST, others_of
@@ -56,7 +56,7 @@ WEAKEST: Final = 5  # so many of the weakest satellites are left out in turn
 # of the others, 0.9 of four and 3.5 of five; right ones had 3.6 and more of six to eight, 4.6 and more of five.
 OPEN_SLOPE_LEAST: Final = 3.0
 OPEN_SLOPE_FEW: Final = 4.0  # where the integers of the others are fewer than ``witness.LEAST``
-NO_SLOPE_FIT: Final = 4.0  # by so many squared norms per integer (1 at least) they may fit worse without a slope: two sigmas of it
+NO_SLOPE_FIT: Final = 4.0  # by so many squared norms per integer (1 at least) they may fit worse without a slope: two sigmas of each
 SILENT, AGREES, OBJECTS = range(3)  # what GLONASS says of integers that were found without it
 # Log odds of other integers by the search with GLONASS that forbid those which are found without it.
 AGAINST_LEAST: Final = 2.5
@@ -265,13 +265,15 @@ def _better(f: Filter, candidates: Candidates, mask: NDArray[np.bool_], best: Se
 @kernel
 def bears_out(f: Filter, sloped: Search, straight: Search) -> bool:
     """Return whether the search of all that leaves the slopes of GLONASS phases open gives the integers of the other systems that the one
-    without a slope gives, with odds of its own, and that no slope fits much better than none.
+    without a slope gives, with odds of its own, and that no slope fits much better than none. Beyond ``FAR_M`` what is left of an
+    atmosphere makes some slope fit better.
     """
     own = others_of(f, sloped.pairs)
     least = OPEN_SLOPE_LEAST if len(own) >= LEAST else OPEN_SLOPE_FEW
     if not sloped.resolved or not straight.resolved or sloped.odds < least:
         return False
-    fits = straight.norm - sloped.norm <= NO_SLOPE_FIT * max(sloped.norm / len(sloped.pairs), 1.0)
+    may = NO_SLOPE_FIT * len(slope_states(f)) * max(sloped.norm / len(sloped.pairs), 1.0)
+    fits = straight.norm - sloped.norm <= may or f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2 > FAR_M**2
     return fits and bool((sloped.integers[own] == straight.integers[own]).all())
 
 
