@@ -265,8 +265,8 @@ def _better(f: Filter, candidates: Candidates, mask: NDArray[np.bool_], best: Se
 @kernel
 def bears_out(f: Filter, sloped: Search, straight: Search) -> bool:
     """Return whether the search of all that leaves the slopes of GLONASS phases open gives the integers of the other systems that the one
-    without a slope gives, with odds of its own, and that no slope fits much better than none. Beyond ``FAR_M`` what is left of an
-    atmosphere makes some slope fit better.
+    without a slope gives, with odds of its own, and that no slope fits much better than none. Beyond ``FAR_M``, where
+    integers must last and fit the atmosphere, small slopes are let pass.
     """
     own = others_of(f, sloped.pairs)
     least = OPEN_SLOPE_LEAST if len(own) >= LEAST else OPEN_SLOPE_FEW
