@@ -16,7 +16,7 @@ from rtkmesh_schemas.wire import decode
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.usefixtures("compiled")]
 
-EPOCHS = 50  # with ephemerides: how long they take to come depends on the machine
+ENOUGH = 25  # attitudes by geometry: how soon they come depends on the hour's satellites and on the machine
 SOLVER = """
 [solver.to_{name}]
 rover = "{name}"
@@ -68,37 +68,27 @@ def deployment_text() -> str:
 
 
 def test_known_places_give_one_frequency_an_attitude_at_once(up: Callable[..., Deployment]) -> None:
-    """The same floats: without places early epochs have no attitude, with them nearly all with ephemerides have; none is wrong."""
+    """The same floats: with places two and three antennas soon have attitudes, without them not yet; none is wrong."""
     deployment = up(deployment_text())
     found: dict[str, list[AttitudeMessage]] = {name: [] for name in ("two", "two_alone", "three", "three_alone")}
     for name, messages in found.items():
         deployment.bus.subscribe(ATT.key(name), lambda s, to=messages: to.append(decode(AttitudeMessage, s.payload, s.encoding)))
-    deployment.until(
-        lambda: len(warm := with_ephemerides(found["two_alone"])) >= EPOCHS and all(map(reaches(max(warm)), found.values())), 60.0
-    )
-    warm = with_ephemerides(found["two_alone"])
-    good = {name: [m for m in messages if m.integrity == "ok"] for name, messages in found.items()}
-    share = {name: sum(m.tow_s in warm for m in messages) / len(warm) for name, messages in good.items()}
+    deployment.until(lambda: min(len(usable(found[name])) for name in ("two", "three")) >= ENOUGH, 90.0)
+    good = {name: usable(messages) for name, messages in found.items()}
     by_geometry = [m for m in (*good["two"], *good["three"]) if "geometry" in m.sources.values()]
-    print(share, f"by geometry {len(by_geometry)}, waited {median(m.waited_ms for m in by_geometry):.2f} ms")
-    assert share["two"] > share["two_alone"] + 0.1
-    assert share["three"] > share["three_alone"] + 0.1
-    assert len(by_geometry) >= 5
-    assert min(share["two"], share["three"]) > 0.5  # 0.68 and 0.80
+    print({name: len(messages) for name, messages in good.items()}, f"waited {median(m.waited_ms for m in by_geometry):.2f} ms")
+    assert len(good["two"]) >= len(good["two_alone"]) + ENOUGH // 2
+    assert len(good["three"]) >= len(good["three_alone"]) + ENOUGH // 2
+    assert len(by_geometry) >= ENOUGH // 2
     assert {m.geometry for m in by_geometry} == {"accepted"}
     assert all(m.geometry_wrong_probability <= 0.01 for m in by_geometry)
     assert [m for messages in good.values() for m in messages if not is_right(m)] == []
     assert deployment.interrupt() == 0
 
 
-def with_ephemerides(messages: list[AttitudeMessage]) -> set[float]:
-    """Return the times of week at which the solver had enough satellites for a float."""
-    return {m.tow_s for m in list(messages) if not any(word in m.reason for word in ("few_", "NONE"))}
-
-
-def reaches(tow_s: float) -> Callable[[list[AttitudeMessage]], bool]:
-    """Return whether messages go up to a time of week."""
-    return lambda messages: bool(messages) and messages[-1].tow_s >= tow_s
+def usable(messages: list[AttitudeMessage]) -> list[AttitudeMessage]:
+    """Return the attitudes whose integrity is ok."""
+    return [m for m in list(messages) if m.integrity == "ok"]
 
 
 def is_right(message: AttitudeMessage) -> bool:
