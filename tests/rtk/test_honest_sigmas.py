@@ -54,8 +54,9 @@ def test_simulated_open_sky(sigmas: ModuleType, name: str, fix: tuple[float, flo
         assert low < found["mean"] < high, mode
 
 
-# Recording, the same. Behind the fixes 0.22 (one error seen sixty times: three degrees of freedom have 0.1 to 2.6), 0.53 and 1.49: of the second the mean of its own fixes is the truth, and what its multipath
-# does in five minutes is 0.54 of all of it. Behind the floats 0.61 (one piece), 1.23 (two) and 0.73 (six).
+# Recording, the same. Behind the fixes 0.22 (one error seen sixty times: three degrees of freedom have 0.1 to 2.6), 0.53 and 1.49: of the
+# second the mean of its own fixes is the truth, and what its multipath does in five minutes is 0.54 of all of it. Behind the floats 0.61
+# (one piece), 1.23 (two) and 0.73 (six).
 RECORDED = [
     ("kanagawa_60s", (0.1, 1.5), (0.3, 1.8)),
     ("tokyo_static_l1gps", (0.4, 1.5), (0.4, 2.2)),
