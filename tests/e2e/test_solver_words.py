@@ -48,7 +48,7 @@ def test_every_word_of_a_running_solver(up: Callable[..., Deployment], tmp_path:
     screens: dict[str, str] = {}
     handle = deployment.bus.subscribe(SCREEN.key("rtk", word="*"), lambda s: screens.update({s.key.split("/")[-1]: s.payload.decode()}))
     assert set(WORDS) >= set(OPERATIONS)
-    took_s = list[float]()
+    took_s, resets = list[float](), fixes[-1].resets  # a filter of the first epochs' few satellites may have begun anew
     for word, args in WORDS.items():
         before, began = len(fixes), time.monotonic()
         reply = deployment.ask("rtk", word, **args)
@@ -56,7 +56,7 @@ def test_every_word_of_a_running_solver(up: Callable[..., Deployment], tmp_path:
         assert reply.ok, (word, reply.message)
         if word not in ("stop", "start", "restart"):
             deployment.until(lambda before=before: len(fixes) > before + 2)
-            assert fixes[-1].resets == 0
+            assert fixes[-1].resets == resets
         if word in ("set", "mode", "load"):
             assert reply.data["applied"] == "at_once"
     assert all_but_a_few(took_s) < 1.0

@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import serial
 from serial.tools.list_ports_common import ListPortInfo
 from tests.patience import PATIENCE_S
 
@@ -131,6 +132,21 @@ def test_an_unplugged_receiver_is_said_and_is_back_under_its_name_within_two_sec
         sink.until(LinkState.CONNECTED)
         took_s.append(time.monotonic() - plugged_s)
     assert min(took_s) < 2.0
+
+
+def test_a_device_that_goes_while_it_is_opened_is_tried_again(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the kernel then says through termios is no OSError."""
+    flush, going = serial.Serial._reset_input_buffer, [world.receiver()]  # noqa: SLF001  between opening and reading
+
+    def unplugged(port: serial.Serial) -> None:
+        if going:
+            going.pop().unplug()
+        flush(port)
+
+    monkeypatch.setattr(serial.Serial, "_reset_input_buffer", unplugged)
+    sink = world.link(f"serial://{going[0].path}")
+    assert "Input/output error" in sink.until(LinkState.ERROR)
+    assert "no such device is plugged in" in sink.until(LinkState.ERROR)
 
 
 def test_a_port_has_one_owner(world: World) -> None:

@@ -6,6 +6,7 @@ enough), ``1546:01a9`` or ``1546:01a9:SERIAL``.
 
 import errno
 import os
+import termios
 from collections.abc import Iterable
 from glob import glob
 from pathlib import Path
@@ -29,6 +30,8 @@ def open_port(path: str, baud: int, write_s: float = WRITE_S) -> "serial.Serial"
     """Return an open port whose writes may take ``write_s``; SourceError says why it cannot be opened."""
     try:
         return serial.Serial(path, baud, timeout=POLL_S, write_timeout=write_s, exclusive=True)
+    except termios.error as error:  # no OSError: a device that goes while it is being opened
+        raise SourceError(f"{path}: {_reason(OSError(*error.args))}") from error
     except (serial.SerialException, ValueError, OSError) as error:
         raise SourceError(f"{path}: {_reason(error)}") from error
 
