@@ -382,8 +382,7 @@ def lay_out(
     take_half_cycles(d.table, f.history, ambiguity)
     begin_ambiguities(f.x, f.P, f.history, ambiguity, d.pairs.satellite, d.table, DYNAMIC, times_s[0])
     inflation = inflations(f.history, ambiguity, code_since_s)
-    # Between antennas that move together lengths and shapes choose integers by the baseline that these give: it must not look less sure.
-    by_phase = np.ones(n) if slips.base_moves else phase_inflations(f.history, ambiguity, times_s[0])
+    by_phase = phase_inflations(f.history, ambiguity, times_s[0])
     excess = place_of(f.keys, EXCESS_KEY) if atmosphere == 3 else -1
     layout = Layout(ambiguity, ionosphere, slope, place_of(f.keys, ZENITH_KEY), excess, inflation, by_phase)
     return Arranged(f, layout, tested.redundancy, tested.rover.step_m, tested.rover.cov_m2, tested.rover.fit)
