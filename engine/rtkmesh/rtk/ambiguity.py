@@ -215,6 +215,12 @@ def condition(x: Vector, P: Matrix, pairs: Indices, integers: Vector, slack: flo
 
 
 @kernel_in_place
+def norm_of(f: Filter, pairs: Indices, integers: Vector) -> float:
+    """Return the squared norm of integers against the float ambiguities."""
+    return condition(f.x, f.P, pairs, integers, 0.0, scratch_indices(0), scratch(0), scratch_table(0, 0))
+
+
+@kernel_in_place
 def gain_of(x: Vector, P: Matrix, pairs: Indices, gain: Matrix, mean: Vector, cov: Matrix) -> bool:
     """Write how the baseline follows from integers, mean + gain @ integers, and its covariance; False where nothing can be said."""
     n = len(pairs)
