@@ -197,7 +197,7 @@ class Rtk:
         issues, base_single, self._satellites = ephemerides.issues, None, None
         single = locate_epoch(rover, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
         changes = are_new(single.rows, single.satellites, self._ephemerides), before is not self._point.klobuchar
-        if any(changes):
+        if changes[0] or changes[1]:
             self._change_models(rover.time, single, issues.channel, changes, before)
         self._single = single
         self._rates[0].learn(rover.time, single.quality)

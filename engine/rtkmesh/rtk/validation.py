@@ -259,7 +259,7 @@ def fix(p: Placing, free: Search, memory: Vector, setup: ResolveSetup, predictio
         carry(x, P, prediction, memory[FIX_SIGMA])
     alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds)
     alone = alone or (street and is_left_alone(memory, count, norm / count))
-    reason = _refused(p, norm, x, P, away, alone, street, memory, setup, prediction)
+    reason = _refused(p.f, p.pairs, norm, x, P, away, alone, street, memory, setup, prediction)
     grade = _grade(memory, time_s) if reason == FIX_OK else 0
     _tell(p.f, p.pairs, integers, memory, setup, grade)
     return _resolution(reason, x, P, free, setup, count, grade, norm)
@@ -267,21 +267,21 @@ def fix(p: Placing, free: Search, memory: Vector, setup: ResolveSetup, predictio
 
 @kernel_in_place
 def _refused(
-    p: Placing, norm: float, x: Vector, P: Matrix, away: float, alone: bool, street: bool, memory: Vector, setup: ResolveSetup,
-    prediction: Vector,
+    f: Filter, pairs: Indices, norm: float, x: Vector, P: Matrix, away: float, alone: bool, street: bool, memory: Vector,
+    setup: ResolveSetup, prediction: Vector,
 ) -> int:  # fmt: skip
     """Return why a fix is not shown, FIX_OK where it is: integers must fit, its place be sharp, and not far ``away`` from the prediction (a
     doubt of them, too) nor ``alone``.
     """
-    sigma_m, far = _sigma_m(P), _is_far(p.f)
-    if norm == np.inf or norm > 2.0 * NORM_LIMIT * len(p.pairs) or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
+    sigma_m, far = _sigma_m(P), _is_far(f)
+    if norm == np.inf or norm > 2.0 * NORM_LIMIT * len(pairs) or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
         return NOT_VALID
     if sigma_m > (STREET_SIGMA_M if street and not far else FIX_SIGMA_M):
         return TOO_UNCERTAIN
     if away > DEPARTURE_LIMIT:
-        note(p.f, True, memory, prediction)
+        note(f, True, memory, prediction)
         return NOT_VALID
-    refused = not far and (alone or (are_bare(p.f, p.pairs) and not isfinite(setup.length_m)))
+    refused = not far and (alone or (are_bare(f, pairs) and not isfinite(setup.length_m)))
     if refused and away <= DEPARTURE_ALONE:  # not shown, but where the next one is expected from
         learn_fix(prediction, x, memory[SHARE])
     if not refused or away <= DEPARTURE_ALONE:
