@@ -13,14 +13,14 @@ from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, signal_code
 from rtkmesh.models.ephemeris_table import EphemerisTable
 from rtkmesh.rtk.ambiguity import condition
 from rtkmesh.rtk.asked_odds import ATMOSPHERE_FROM_M
-from rtkmesh.rtk.calm import ANTENNAS_M, calmed, excess_of, is_atmospheric, place_calmly, share_of_states
+from rtkmesh.rtk.calm import ANTENNAS_M, calmed, is_atmospheric, place_calmly, share_of_states
 from rtkmesh.rtk.engine import Rtk
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
 from rtkmesh.rtk.state import DYNAMIC, EXCESS_KEY, HISTORY, SLOPE_KEYS, ZENITH_KEY, Filter
 
 KEYS = np.array([ZENITH_KEY, 3, 7, EXCESS_KEY, SLOPE_KEYS[0], 3 * KEYS_PER_SATELLITE + 1, 7 * KEYS_PER_SATELLITE + 1], np.int64)
-ATMOSPHERE = DYNAMIC + np.arange(4)
+DYNAMIC_STATES, ATMOSPHERE = np.arange(DYNAMIC), DYNAMIC + np.arange(4)
 PAIRS, INTEGERS = np.array([[DYNAMIC + 6, DYNAMIC + 5]]), np.array([2.0])
 BASE_ECEF_M = np.array([-3959400.631, 3385704.533, 3667523.111])
 L2_M = 299792458.0 / 1227.6e6
@@ -55,11 +55,11 @@ def test_a_filter_without_atmosphere_stays() -> None:
     assert np.allclose(calm.P, plain.P, atol=1e-9)
 
 
-def placed(f: Filter) -> tuple[np.ndarray, np.ndarray]:
-    """Return the place given an integer of what the two ambiguities differ by, and its covariance."""
-    x, P = np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
-    condition(f.x, f.P, PAIRS, INTEGERS, 0.0, np.arange(DYNAMIC), x, P)
-    return x, P
+def placed(f: Filter, states=DYNAMIC_STATES) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the place given an integer of what the two ambiguities differ by, its covariance, and the squared norm of the integer."""
+    x, P = np.zeros(len(states)), np.zeros((len(states), len(states)))
+    norm = condition(f.x, f.P, PAIRS, INTEGERS, 0.0, states, x, P)
+    return x, P, norm
 
 
 @given(st.integers(0, 999), st.floats(0.0, 100.0))
@@ -67,9 +67,10 @@ def test_the_place_goes_over_to_the_one_with_an_active_atmosphere(seed: int, act
     """Between both, on the line that joins them, by what their distance has beyond antennas and noise; so is the covariance."""
     f = a_filter(seed)
     f.x[ATMOSPHERE] *= activity
-    (felt_x, felt_P), (calm_x, calm_P) = placed(f), placed(calmed(f, excess_of(f, PAIRS, INTEGERS)))
+    felt_x, felt_P, norm = placed(f)
+    calm_x, calm_P, _ = placed(calmed(f, placed(f, ATMOSPHERE[3:])[0][0]))
     x, P = np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
-    place_calmly(f, PAIRS, INTEGERS, np.arange(DYNAMIC), x, P)
+    assert place_calmly(f, PAIRS, INTEGERS, DYNAMIC_STATES, x, P) == norm
     apart_m2 = float(((felt_x - calm_x)[:3] ** 2).sum())
     variance_m2 = float(np.trace((felt_P - calm_P)[:3, :3]))
     share = max(0.0, 1.0 - (variance_m2 + ANTENNAS_M**2) / apart_m2)

@@ -108,11 +108,11 @@ def test_the_informed_filter_remembers_the_same(scene: Scene):
     assert single is not None
     state.informed = Filter(*(part.copy() for part in state.filter))
     before, channel = state.filter.history.copy(), table().issues.channel
-    engine._change_ionosphere(
-        START + 4.0, single, channel, np.array((3e-8, 0.0, 0.0, 0.0, 4e5, 0.0, 0.0, 0.0))
-    )  # a day of 4e5 s: at night too
+    strong = np.array((3e-8, 0.0, 0.0, 0.0, 4e5, 0.0, 0.0, 0.0))  # a day of 4e5 s: at night too
+    engine._change_models(START + 4.0, single, channel, (False, True), strong)
     after_ionosphere = state.filter.history.copy()
-    engine._change_ephemerides(single._replace(rows=table(new=True).select(single.satellites, START + 5.0)))
+    other_single = single._replace(rows=table(new=True).select(single.satellites, START + 5.0))
+    engine._change_models(START + 4.0, other_single, channel, (True, False), strong)
     assert np.nanmax(np.abs(after_ionosphere[:, BASE_M] - before[:, BASE_M])) > 0.5
     assert np.nanmax(np.abs(state.filter.history[:, BASE_M] - after_ionosphere[:, BASE_M])) > 0.5
     np.testing.assert_array_equal(state.informed.history, state.filter.history)
@@ -133,9 +133,8 @@ def test_what_is_remembered_is_less_the_new_model(scene: Scene, direction: Direc
     f, new, state = engine._state.filter, wanted._single, engine._state
     pairs = f.keys >= KEYS_PER_SATELLITE
     before, clock = f.history.copy(), (state.origin.week, state.origin.tow_s, engine._sense)
-    change_ephemerides(
-        f.keys, f.history, new.rows, new.satellites, engine._ephemerides, clock, wanted._state.rover_ecef_m, wanted._state.base_ecef_m
-    )
+    places_ecef_m = wanted._state.rover_ecef_m, wanted._state.base_ecef_m
+    change_ephemerides(f, new.rows, new.satellites, engine._ephemerides, clock, places_ecef_m)
     assert np.ptp(f.history[pairs, BASE_M] - before[pairs, BASE_M]) > 1.0
     assert f.history[pairs, BASE_M] == pytest.approx(wanted._state.filter.history[pairs, BASE_M], abs=1e-3)
     assert f.history[pairs, ROVER_M] - before[pairs, ROVER_M] == pytest.approx(f.history[pairs, BASE_M] - before[pairs, BASE_M], abs=1e-3)

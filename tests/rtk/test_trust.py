@@ -12,7 +12,7 @@ from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, GLONASS_VOTES, SLOPE_G1, TRUSTS_G
 from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.slopes import slope_states
 from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
-from rtkmesh.rtk.trust import STEEPEST_M, TOLD_SIGMA_M, TRUSTED_AFTER, found_slopes, learn_glonass, possible, tell_slopes
+from rtkmesh.rtk.trust import STEEPEST_M, TOLD_SIGMA_M, TRUSTED_AFTER, found_slopes, learn_glonass, possible, search_wide, tell_slopes
 
 U_BLOX_TO_LEICA_M = -0.054  # the steepest slope that we have recorded
 
@@ -49,8 +49,9 @@ def test_a_slope_a_wavelength_steeper_is_no_rival():
     for seed in range(20):
         f, everything, held, pairs = with_gps_held(np.random.default_rng(seed))
         clear += found_slopes(f, pairs, slope_states(f), held)[1] >= ACCEPT_AT_ONCE
-        sloped = search(f, everything, np.nan, 0.01)
-        told = possible(f, sloped)
+        sloped, wide = search(f, everything, np.nan, 0.01), search_wide(f, everything, SETUP)
+        assert (wide.found.norm, wide.found.second, wide.found.odds) == (sloped.norm, sloped.second, sloped.odds)
+        told = possible(f, wide)
         surer += told.odds > sloped.odds
         assert told.odds >= sloped.odds
         assert told.integers.tolist() == sloped.integers.tolist()
@@ -71,8 +72,8 @@ def test_a_slope_that_no_receivers_have_is_never_found():
         f, everything, held, pairs = with_gps_held(np.random.default_rng(seed), slope_m=0.14)
         take_value(f.x, f.P, DYNAMIC, 0.14, 0.002**2)
         assert found_slopes(f, pairs, slope_states(f), held)[1] == -np.inf
-        sloped = search(f, everything, np.nan, 0.01)
-        assert possible(f, sloped).odds == sloped.odds
+        wide = search_wide(f, everything, SETUP)
+        assert possible(f, wide).odds == wide.found.odds
 
 
 def trusted_after(f, everything, held, memory, epochs):

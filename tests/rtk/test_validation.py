@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rtkmesh.gnss.signals import KEYS_PER_SATELLITE
 from rtkmesh.rtk.agreement import FAINT_ODDS, MIRRORED_CODES, PROVEN_LEAST_S
-from rtkmesh.rtk.ambiguity import Candidates, Search
+from rtkmesh.rtk.ambiguity import Candidates, Search, held_among, pairs_of
 from rtkmesh.rtk.asked_odds import STREET_CODES
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import DOUBTS, FIX_SIGMA, HELD_SINCE_S, PROVEN_S, SHOWN, new_memory, resolve_setup
@@ -75,7 +75,8 @@ def fixed(
     free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, odds, False)
     setup = resolve_setup(options, length_m, 0.01)
     f = floating(held, phase_sigma_m)
-    return fix(f, by_itself(f), candidates, free, memory, setup, prediction, 1.0, level), memory[DOUBTS]
+    held = pairs_of(held_among(f, candidates))
+    return fix(by_itself(f, held), free, memory, setup, prediction, 1.0, level), memory[DOUBTS]
 
 
 def predicted(at_m, sigma_m=0.01):
@@ -255,7 +256,8 @@ def test_four_satellites_are_not_shown(count, length_m, reason):
     candidates = Candidates(np.arange(n), np.tile([0, 1], count), satellites, np.arange(n) + 1.0)
     free = Search(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.inf, np.inf, 0.0, -np.inf, False)
     prediction = predicted(TRUE_M)
-    shown = fix(f, by_itself(f), candidates, free, memory, resolve_setup(AmbiguityOptions(), length_m, 0.01), prediction, 1.0, 1.0)
+    held = pairs_of(held_among(f, candidates))
+    shown = fix(by_itself(f, held), free, memory, resolve_setup(AmbiguityOptions(), length_m, 0.01), prediction, 1.0, 1.0)
     assert shown.reason == reason
     assert np.linalg.norm(prediction[:3] - TRUE_M) < 0.02
 

@@ -136,7 +136,7 @@ def test_an_unplugged_receiver_is_said_and_is_back_under_its_name_within_two_sec
 
 def test_a_device_that_goes_while_it_is_opened_is_tried_again(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the kernel then says through termios is no OSError."""
-    flush, going = serial.Serial._reset_input_buffer, [world.receiver()]  # noqa: SLF001  between opening and reading
+    flush, going = serial.Serial._reset_input_buffer, [world.receiver()]  # between opening and reading
 
     def unplugged(port: serial.Serial) -> None:
         if going:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel
+from rtkmesh._jit import kernel, scratch_indices
 from rtkmesh.codecs.bits import load_words, word_bits
 from rtkmesh.codecs.observation_rows import Rows
 from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
@@ -195,6 +195,27 @@ def _find_cells(
 
 
 @kernel
+def _write_cell(
+    words: NDArray[np.int64], begin: NDArray[np.int64], level: int, cell: int, rough: tuple[float, float, int], wavelength_m: float,
+    values: NDArray[np.float64],
+) -> int:  # fmt: skip
+    """Write the values of a cell (a row, see observation_rows) and return its flags. ``begin`` is where each field of the cells begins,
+    ``rough`` what is said of its satellite; without a wavelength (NaN) there is no phase and no rate.
+    """
+    widths, scales = CELL_WIDTHS[level], SCALES[level]
+    code = _signed(word_bits(words, begin[0] + widths[0] * cell, widths[0]), widths[0], scales[0])
+    phase = _signed(word_bits(words, begin[1] + widths[1] * cell, widths[1]), widths[1], scales[1])
+    rate = _signed(word_bits(words, begin[5] + widths[5] * cell, widths[5]), widths[5], RATE_SCALE_MPS)
+    cn0 = word_bits(words, begin[4] + widths[4] * cell, widths[4])
+    values[0] = (rough[0] + code) * MILLISECOND_M
+    values[1] = (rough[0] + phase) * MILLISECOND_M / wavelength_m
+    values[2] = -(rough[1] + rate) / wavelength_m
+    values[3] = cn0 * scales[2] if cn0 else np.nan
+    values[4] = LOCK_S[1 if widths[2] == 10 else 0, word_bits(words, begin[2] + widths[2] * cell, widths[2])]
+    return HALF_CYCLE if word_bits(words, begin[3] + cell, widths[3]) else 0
+
+
+@kernel
 def decode_cells(
     payload: bytes, system: int, level: int, channels: NDArray[np.int8], cells: NDArray[np.int16], values: NDArray[np.float64], row: int
 ) -> tuple[int, int, int, int, int]:  # fmt: skip
@@ -204,19 +225,15 @@ def decode_cells(
     gives none), the cells of unknown signal or satellite, those without phase for want of a GLONASS channel, and the head of the payload
     (its first 64 bits without the message number: station, epoch time, more to come, the rest).
     """
-    words, masks = load_words(payload), np.empty((3, MAX_CELLS), np.int64)
-    of_satellite, widths, scales = SATELLITE_WIDTHS[level], CELL_WIDTHS[level], SCALES[level]
+    words, masks, begin = load_words(payload), np.empty((3, MAX_CELLS), np.int64), scratch_indices(len(CELL_WIDTHS[level]))
     status, n_sat, n_sig, n_cell = _find_cells(words, 8 * len(payload), SATELLITE_BITS[level], CELL_BITS[level], masks)
     if status != OK:
         return status, 0, 0, 0, 0
     at_satellites = HEADER_BITS + n_sat * n_sig
-    at_code = at_satellites + n_sat * SATELLITE_BITS[level]
-    at_phase = at_code + n_cell * widths[0]
-    at_lock = at_phase + n_cell * widths[1]
-    at_half = at_lock + n_cell * widths[2]
-    at_cn0 = at_half + n_cell * widths[3]
-    at_rate = at_cn0 + n_cell * widths[4]
-    first, last, unknown, phaseless, rough_ms, rough_mps, extended = row, -1, 0, 0, 0.0, 0.0, NO_EXTENDED
+    begin[0] = at_satellites + n_sat * SATELLITE_BITS[level]
+    for k in range(1, len(begin)):
+        begin[k] = begin[k - 1] + n_cell * CELL_WIDTHS[level, k - 1]
+    first, last, unknown, phaseless, rough = row, -1, 0, 0, (0.0, 0.0, NO_EXTENDED)
     for cell in range(n_cell):
         i = masks[2, cell] // n_sig
         number, signal = masks[0, i] + 1, int(SIGNAL_OF_BIT[system, masks[1, masks[2, cell] - i * n_sig] + 1])
@@ -225,27 +242,17 @@ def decode_cells(
             continue
         number += FIRST_SATELLITE[system]
         if i != last:
-            rough_ms, rough_mps, extended = _satellite_fields(words, at_satellites, n_sat, of_satellite, i)
-            last = i
+            rough, last = _satellite_fields(words, at_satellites, n_sat, SATELLITE_WIDTHS[level], i), i
         satellite, channel = system * SATELLITES_PER_SYSTEM + number, NO_CHANNEL
         if system == GLONASS:
-            if extended <= 13:  # DF419
-                channels[number] = extended - 7
+            if rough[2] <= 13:  # DF419
+                channels[number] = rough[2] - 7
             channel = int(channels[number])
         carrier = carrier_hz(satellite, signal, channel)
         phaseless += 1 if carrier == 0.0 else 0
         wavelength_m = SPEED_OF_LIGHT_MPS / carrier if carrier > 0.0 else np.nan
-        code = _signed(word_bits(words, at_code + widths[0] * cell, widths[0]), widths[0], scales[0])
-        phase = _signed(word_bits(words, at_phase + widths[1] * cell, widths[1]), widths[1], scales[1])
-        rate = _signed(word_bits(words, at_rate + widths[5] * cell, widths[5]), widths[5], RATE_SCALE_MPS)
-        cn0 = word_bits(words, at_cn0 + widths[4] * cell, widths[4])
-        values[row, 0] = (rough_ms + code) * MILLISECOND_M
-        values[row, 1] = (rough_ms + phase) * MILLISECOND_M / wavelength_m
-        values[row, 2] = -(rough_mps + rate) / wavelength_m
-        values[row, 3] = cn0 * scales[2] if cn0 else np.nan
-        values[row, 4] = LOCK_S[1 if widths[2] == 10 else 0, word_bits(words, at_lock + widths[2] * cell, widths[2])]
         cells[row, 0], cells[row, 1], cells[row, 2], cells[row, 4] = satellite, signal, channel, MSM_PRIORITY
-        cells[row, 3] = HALF_CYCLE if word_bits(words, at_half + cell, widths[3]) else 0
+        cells[row, 3] = _write_cell(words, begin, level, cell, rough, wavelength_m, values[row])
         if not (np.isnan(values[row, 0]) and np.isnan(values[row, 1]) and np.isnan(values[row, 2])):
             row += 1
     return OK, row - first, unknown, phaseless, (words[0] & 0xFFFFF) << 32 | words[1]

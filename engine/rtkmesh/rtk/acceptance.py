@@ -32,7 +32,7 @@ from rtkmesh.rtk.memory import (
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.slopes import slope_states, without_slopes
 from rtkmesh.rtk.state import ARC_S, DYNAMIC, INTEGER, STREAK, Filter
-from rtkmesh.rtk.trust import possible, tell_slopes
+from rtkmesh.rtk.trust import possible, search_wide, tell_slopes
 from rtkmesh.rtk.witness import LEAST, others_of
 
 Vector = NDArray[np.float64]
@@ -142,10 +142,10 @@ def _looked_for(q: Question, space: float, far2: float, setup: ResolveSetup, tim
 @kernel
 def _with_glonass(q: Question, answer: Answer, setup: ResolveSetup) -> Answer:
     """Return the search of all, GLONASS too, if its odds are better: with an open slope, or without one where the other bears it out."""
-    flat = without_slopes(q.f)
-    sloped, straight = search_all(q.f, q.everything, setup), search_all(flat, q.everything, setup)
-    slopeless = straight.odds > sloped.odds and bears_out(q.f, sloped, straight)
-    found = straight if slopeless else (sloped if isfinite(setup.length_m) else possible(q.f, sloped))
+    flat, wide = without_slopes(q.f), search_wide(q.f, q.everything, setup)
+    straight = search_all(flat, q.everything, setup)
+    slopeless = straight.odds > wide.found.odds and bears_out(q.f, wide.found, straight)
+    found = straight if slopeless else possible(q.f, wide)
     if not found.odds > answer.search.odds:
         return answer
     return Answer(found, flat if slopeless else q.f, max(q.asked, ACCEPT_AT_ONCE), log(SUBSETS), True, False)

@@ -85,21 +85,31 @@ def pairs_of(candidates: Candidates) -> Indices:
 @kernel
 def search(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: float) -> Search:
     """Search the integers of all double differences of the candidates; of a baseline of known length (NaN: unknown) with its misfit."""
-    pairs, values = pairs_of(candidates), np.full(len(f.keys), np.nan)
+    pairs = pairs_of(candidates)
     n = len(pairs)
     fixed, norms = np.zeros((2, n)), np.zeros(2)
     if n == 0:
-        return Search(pairs, fixed[0], values, np.inf, np.inf, 0.0, -np.inf, False)
+        return nothing_found(f, pairs, 0.0)
     if isfinite(length_m):
         status, success = search_of_length(f, pairs, length_m, length_sigma_m, fixed, norms)
     else:
         status, success = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)
-    if status != OK:
-        return Search(pairs, fixed[0], values, np.inf, np.inf, success, -np.inf, False)
+    return found_best(f, pairs, fixed, norms, success) if status == OK else nothing_found(f, pairs, success)
+
+
+@kernel
+def found_best(f: Filter, pairs: Indices, fixed: Matrix, norms: Vector, success: float) -> Search:
+    """Return the first of integer vectors, best first, as the result of a search."""
+    n, values = len(pairs), np.full(len(f.keys), np.nan)
     for k in range(n):
         values[pairs[k, 1] - DYNAMIC], values[pairs[k, 0] - DYNAMIC] = 0.0, fixed[0, k]
-    odds = log_odds(norms[0], norms[1], n)
-    return Search(pairs, fixed[0].copy(), values, norms[0], norms[1], success, odds, True)
+    return Search(pairs, fixed[0].copy(), values, norms[0], norms[1], success, log_odds(norms[0], norms[1], n), True)
+
+
+@kernel
+def nothing_found(f: Filter, pairs: Indices, success: float) -> Search:
+    """Return the result of a search without one."""
+    return Search(pairs, np.zeros(len(pairs)), np.full(len(f.keys), np.nan), np.inf, np.inf, success, -np.inf, False)
 
 
 @kernel_in_place
@@ -212,6 +222,12 @@ def condition(x: Vector, P: Matrix, pairs: Indices, integers: Vector, slack: flo
                 total -= G[k, i + 1] * G[k, j + 1]
             P_out[i, j], P_out[j, i] = total, total
     return norm
+
+
+@kernel_in_place
+def norm_of(f: Filter, pairs: Indices, integers: Vector) -> float:
+    """Return the squared norm of integers against the float ambiguities."""
+    return condition(f.x, f.P, pairs, integers, 0.0, scratch_indices(0), scratch(0), scratch_table(0, 0))
 
 
 @kernel_in_place

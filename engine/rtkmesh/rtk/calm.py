@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place, scratch_table
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_indices, scratch_table
 from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.ambiguity import condition
 from rtkmesh.rtk.asked_odds import ATMOSPHERE_FROM_M
@@ -39,14 +39,19 @@ def is_atmospheric(length_m: float, satellite: NDArray[np.int16]) -> bool:
 
 
 @kernel
-def place_calmly(f: Filter, pairs: Indices, integers: Vector, dynamic: Indices, x: Vector, P: Matrix) -> None:
-    """Write the dynamic states and their covariance given integers: without an atmosphere but for its excess, and with all its
-    states for the share of these.
+def place_calmly(f: Filter, pairs: Indices, integers: Vector, dynamic: Indices, x: Vector, P: Matrix) -> float:
+    """Write the dynamic states and their covariance given integers: without an atmosphere but for its excess, as the integers have it
+    whatever each satellite's may be beyond; and with all its states for the share of these. Return the squared norm of the integers.
     """
-    felt_x, felt_P, calm = np.zeros(len(x)), np.zeros((len(x), len(x))), calmed(f, excess_of(f, pairs, integers))
+    n, row = len(x), place_of(f.keys, EXCESS_KEY)
+    count = n if row < 0 else n + 1
+    felt_x, felt_P, wanted = scratch(n + 1), scratch_table(n + 1, n + 1), scratch_indices(n + 1)
+    wanted[:n], wanted[n] = dynamic, DYNAMIC + row
+    norm = condition(f.x, f.P, pairs, integers, 0.0, wanted[:count], felt_x, felt_P)
+    calm = calmed(f, felt_x[n] if count > n and norm < np.inf else 0.0)
     condition(calm.x, calm.P, pairs, integers, 0.0, dynamic, x, P)
-    if condition(f.x, f.P, pairs, integers, 0.0, dynamic, felt_x, felt_P) == np.inf:
-        return
+    if norm == np.inf:
+        return norm
     apart_m2, variance_m2 = 0.0, 0.0
     for i in range(3):
         apart_m2 += (felt_x[i] - x[i]) ** 2
@@ -56,6 +61,7 @@ def place_calmly(f: Filter, pairs: Indices, integers: Vector, dynamic: Indices, 
         x[i] += share * (felt_x[i] - x[i])
         for j in range(len(x)):
             P[i, j] += share * (felt_P[i, j] - P[i, j])
+    return norm
 
 
 @kernel_in_place
@@ -65,16 +71,6 @@ def share_of_states(apart_m2: float, variance_m2: float) -> float:
     """
     explained_m2 = max(variance_m2, 0.0) + ANTENNAS_M**2
     return 1.0 - explained_m2 / apart_m2 if apart_m2 > explained_m2 else 0.0
-
-
-@kernel
-def excess_of(f: Filter, held: Indices, integers: Vector) -> float:
-    """Return by what part the ionosphere exceeds its model as the held integers have it, whatever each satellite's may be beyond."""
-    row, x, P = place_of(f.keys, EXCESS_KEY), np.zeros(1), np.zeros((1, 1))
-    if row < 0:
-        return 0.0
-    condition(f.x, f.P, held, integers, 0.0, np.full(1, DYNAMIC + row), x, P)
-    return x[0]
 
 
 @kernel

@@ -196,10 +196,9 @@ class Rtk:
             self._klobuchar, self._point = klobuchar, self._point_setup(klobuchar)
         issues, base_single, self._satellites = ephemerides.issues, None, None
         single = locate_epoch(rover, issues, self._point, _NOWHERE if self._state is None else self._state.rover_ecef_m)
-        if are_new(single.rows, single.satellites, self._ephemerides):
-            self._change_ephemerides(single)
-        if before is not self._point.klobuchar:
-            self._change_ionosphere(rover.time, single, issues.channel, before)
+        changes = are_new(single.rows, single.satellites, self._ephemerides), before is not self._point.klobuchar
+        if changes[0] or changes[1]:
+            self._change_models(rover.time, single, issues.channel, changes, before)
         self._single = single
         self._rates[0].learn(rover.time, single.quality)
         if self._is_single:
@@ -238,22 +237,20 @@ class Rtk:
             excluded=o.excluded,
         ))  # fmt: skip
 
-    def _change_ephemerides(self, single: Located) -> None:
-        """Let what the filters remember of phases be less the models of this epoch's ephemerides."""
+    def _change_models(self, time: GpsTime, single: Located, channel: NDArray[np.int8], changes: tuple[bool, bool], before: Vector) -> None:
+        """Let what the filters remember of phases be less the newest models: this epoch's ephemerides, Klobuchar coefficients in place of
+        those ``before``; ``changes``: there are others of these, and of those.
+        """
         state, known = self._state, self._ephemerides
         if state is not None:
             clock, places_ecef_m = (state.origin.week, state.origin.tow_s, self._sense), (state.rover_ecef_m, state.base_ecef_m)
             for f in (state.filter, state.informed):
-                change_ephemerides(f.keys, f.history, single.rows, single.satellites, known, clock, *places_ecef_m)
-        learn_ephemerides(single.rows, single.satellites, known)
-
-    def _change_ionosphere(self, time: GpsTime, single: Located, channel: NDArray[np.int8], before: Vector) -> None:
-        """Let what the filters remember of phases be less the model of the newest Klobuchar coefficients in place of those ``before``."""
-        state = self._state
-        if state is not None:
-            places_ecef_m = state.rover_ecef_m, state.base_ecef_m
-            for f in (state.filter, state.informed):
-                change_ionosphere(f, single, channel, (time.week, time.tow_s), places_ecef_m, before, self._point.klobuchar)
+                if changes[0]:
+                    change_ephemerides(f, single.rows, single.satellites, known, clock, places_ecef_m)
+                if changes[1]:
+                    change_ionosphere(f, single, channel, (time.week, time.tow_s), places_ecef_m, before, self._point.klobuchar)
+        if changes[0]:
+            learn_ephemerides(single.rows, single.satellites, known)
 
     def _obstacle(self, rover: Epoch, base: Epoch | None, base_position_ecef_m: Vector | None) -> Reason | None:
         """Return why there can be no relative solution; None where there can."""

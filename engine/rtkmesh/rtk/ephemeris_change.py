@@ -16,7 +16,7 @@ from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, MAX_SATELLITE
 from rtkmesh.models.ephemeris_table import KIND, NO_EPHEMERIS, ROW
 from rtkmesh.models.geometry import E_Z, RANGE, line_of_sight
 from rtkmesh.models.orbit import STATE, STATE_CLOCK, STATE_OK, satellite_states
-from rtkmesh.rtk.state import BASE_M, BASE_S, FIRST_PAIR_KEY, ROVER_M, ROVER_S
+from rtkmesh.rtk.state import BASE_M, BASE_S, FIRST_PAIR_KEY, ROVER_M, ROVER_S, Filter
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -51,7 +51,7 @@ def _is_new(row: Vector, known: Vector) -> bool:
 def learn_ephemerides(rows: Matrix, satellites: NDArray[np.int16], known: Matrix) -> None:
     """Let these ephemerides be the known ones of their satellites."""
     for i in range(len(satellites)):
-        if _is_new(rows[i], known[satellites[i]]):
+        if rows[i, KIND] != NO_EPHEMERIS:
             _copy(rows[i], known[satellites[i]])
 
 
@@ -63,28 +63,29 @@ def _copy(row: Vector, out: Vector) -> None:
 
 @kernel_in_place
 def change_ephemerides(
-    keys: Indices, history: Matrix, rows: Matrix, satellites: NDArray[np.int16], known: Matrix, clock: tuple[int, float, float],
-    rover_ecef_m: Vector, base_ecef_m: Vector,
+    f: Filter, rows: Matrix, satellites: NDArray[np.int16], known: Matrix, clock: tuple[int, float, float],
+    places_ecef_m: tuple[Vector, Vector],
 ) -> None:  # fmt: skip
     """Let the phases that a filter remembers be less the models of these ephemerides in place of those of the ``known`` ones.
 
-    ``clock`` is the filter's: week and time of week (s) of its origin, and 1 or -1 as it runs forward or backward. Places are those of now:
-    a kilometre changes a range by another ephemeris by a tenth of a millimetre. NaN where an ephemeris says nothing of the instant.
+    ``clock`` is the filter's: week and time of week (s) of its origin, and 1 or -1 as it runs forward or backward. Places, of rover and
+    base, are those of now: a kilometre changes a range by another ephemeris by a tenth of a millimetre. NaN where an ephemeris says nothing
+    of the instant.
     """
     i = 0
-    for row in range(len(keys)):
-        if keys[row] < FIRST_PAIR_KEY:
+    for row in range(len(f.keys)):
+        if f.keys[row] < FIRST_PAIR_KEY:
             continue
-        satellite = keys[row] // KEYS_PER_SATELLITE
+        satellite = f.keys[row] // KEYS_PER_SATELLITE
         while i < len(satellites) and satellites[i] < satellite:
             i += 1
         if i == len(satellites):
             return
         if satellites[i] != satellite or not _is_new(rows[i], known[satellite]):
             continue
-        h = history[row]
-        h[ROVER_M] -= _change_m(known[satellite], rows[i], clock, h[ROVER_S], rover_ecef_m)
-        h[BASE_M] -= _change_m(known[satellite], rows[i], clock, h[BASE_S], base_ecef_m)
+        h = f.history[row]
+        h[ROVER_M] -= _change_m(known[satellite], rows[i], clock, h[ROVER_S], places_ecef_m[0])
+        h[BASE_M] -= _change_m(known[satellite], rows[i], clock, h[BASE_S], places_ecef_m[1])
 
 
 @kernel_in_place

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
-from rtkmesh.rtk.ambiguity import Candidates, Search, held_among, held_differences, pairs_of, tell
+from rtkmesh.rtk.ambiguity import Candidates, Search, held_among, held_differences, norm_of, pairs_of, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup
 from rtkmesh.rtk.placing import by_itself
@@ -22,7 +22,7 @@ from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, PHASE, Differences
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, ZENITH_KEY, Filter, is_ionosphere, place_of
 from rtkmesh.rtk.update import update
-from rtkmesh.rtk.validation import Resolution, fix, norm_of, note
+from rtkmesh.rtk.validation import Resolution, fix, note
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -64,10 +64,9 @@ class Use(NamedTuple):
 
 
 class Informed(NamedTuple):
-    """The filter after an epoch, its candidates, those that are held, and how these strain the atmosphere (above 1: too far)."""
+    """The filter after an epoch, the double differences that are held, and how these strain the atmosphere (above 1: too far)."""
 
     filter: Filter
-    candidates: Candidates
     held: Indices
     strain: float
 
@@ -89,21 +88,16 @@ def settle(
     held, time_s = pairs_of(held_among(witness, candidates)), motion.times_s[0]
     if len(held) < 4:
         memory[INFORMED] = 0.0
-        return Settled(
-            fix(witness, by_itself(witness), candidates, free, memory, setup, prediction, time_s, level), _nothing(informed), 0.0
-        )
+        return Settled(fix(by_itself(witness, held), free, memory, setup, prediction, time_s, level), _nothing(informed), 0.0)
     if len(informed.keys) == 0 or memory[HELD_SINCE_S] == time_s:
         informed, memory[INFORMED] = begin_informed(witness), 0.0
     norm, told = norm_of(witness, held, held_differences(witness, held)), inform(informed, witness, d, motion, use)
     if len(told.held) < 4:
-        resolution = fix(witness, by_itself(witness), candidates, free, memory, setup, prediction, time_s, level)
-        return Settled(resolution, told.filter, norm)
+        return Settled(fix(by_itself(witness, held), free, memory, setup, prediction, time_s, level), told.filter, norm)
     memory[INFORMED] = memory[INFORMED] + 1.0 if told.strain <= STRAIN_SURE else 0.0
     if told.strain > 1.0:
         note(witness, True, memory, prediction)
-    return Settled(
-        fix(told.filter, by_itself(told.filter), told.candidates, free, memory, setup, prediction, time_s, level), told.filter, norm
-    )
+    return Settled(fix(by_itself(told.filter, told.held), free, memory, setup, prediction, time_s, level), told.filter, norm)
 
 
 @kernel
@@ -155,13 +149,14 @@ def inform(before: Filter, witness: Filter, d: Differences, motion: Motion, use:
     outcome = update(f, sharp, layout, use.scale, motion.velocity_mps, motion.velocity_cov_m2ps2)
     candidates = find_candidates(f, sharp, layout, outcome.phase_used, use.mask_rad, use.least_epochs)
     if not outcome.ok or not is_finite(f.x, f.P):
-        return Informed(_nothing(witness), candidates, np.zeros((0, 2), np.int64), np.inf)
+        return Informed(_nothing(witness), np.zeros((0, 2), np.int64), np.inf)
     remember(f, sharp, layout, outcome.phase_used, motion.times_s[0])
     adopt(f, witness)
     held = pairs_of(held_among(f, candidates))
-    norm = norm_of(f, held, held_differences(f, held))
-    tell(f, held, held_differences(f, held), _TOLD_CYC2)
-    return Informed(f, candidates, held, strain(f, length_m) if norm <= NORM_LIMIT * len(held) else np.inf)
+    integers = held_differences(f, held)
+    norm = norm_of(f, held, integers)
+    tell(f, held, integers, _TOLD_CYC2)
+    return Informed(f, held, strain(f, length_m) if norm <= NORM_LIMIT * len(held) else np.inf)
 
 
 @kernel

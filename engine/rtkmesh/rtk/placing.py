@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.rtk.ambiguity import condition
+from rtkmesh._jit import kernel, kernel_in_place, scratch_indices
+from rtkmesh.rtk.ambiguity import condition, norm_of
 from rtkmesh.rtk.calm import place_calmly
 from rtkmesh.rtk.residuals import Differences
 from rtkmesh.rtk.state import Filter
@@ -26,28 +26,35 @@ LOOSE_M: Final = 1.0  # sigma of each coordinate on top of what the past says: m
 
 
 class Placing(NamedTuple):
-    """What says where integers put the rover: a filter with the states of the one by which they are believed; ``apart``: it is another one,
-    of the epoch alone; ``calm``: the place has little of the atmosphere's states.
+    """Which integers are held (``pairs`` of state and reference) and where they put the rover: the filter ``f`` by which they are believed,
+    and the one that says where, with the same states; ``apart``: this is another one, of the epoch alone; ``calm``: the place has little
+    of the atmosphere's states.
     """
 
     f: Filter
+    place: Filter
+    pairs: Indices
     apart: bool
     calm: bool
 
 
 @kernel
-def by_itself(f: Filter) -> Placing:
+def by_itself(f: Filter, pairs: Indices) -> Placing:
     """Return the filter by which integers are believed as what places them."""
-    return Placing(f, False, False)
+    return Placing(f, f, pairs, False, False)
 
 
 @kernel
-def place_integers(p: Placing, pairs: Indices, integers: Vector, dynamic: Indices, x: Vector, P: Matrix) -> float:
-    """Write the dynamic states and their covariance given integers; return their squared norm by this filter (a calm one: 0)."""
-    if not p.calm:
-        return condition(p.f.x, p.f.P, pairs, integers, 0.0, dynamic, x, P)
-    place_calmly(p.f, pairs, integers, dynamic, x, P)
-    return 0.0
+def place_integers(p: Placing, integers: Vector, x: Vector, P: Matrix) -> float:
+    """Write the dynamic states and their covariance given integers; return their squared norm by the filter by which they are believed."""
+    dynamic = scratch_indices(len(x))
+    for i in range(len(x)):
+        dynamic[i] = i
+    if p.calm:
+        norm = place_calmly(p.place, p.pairs, integers, dynamic, x, P)
+    else:
+        norm = condition(p.place.x, p.place.P, p.pairs, integers, 0.0, dynamic, x, P)
+    return norm_of(p.f, p.pairs, integers) if p.apart else norm
 
 
 @kernel_in_place

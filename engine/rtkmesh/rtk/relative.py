@@ -12,7 +12,7 @@ from rtkmesh.models.single import Located
 from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import FAR_M, SURE
 from rtkmesh.rtk.agreement import note_fix, note_proof
-from rtkmesh.rtk.ambiguity import Candidates
+from rtkmesh.rtk.ambiguity import Candidates, held_among, pairs_of
 from rtkmesh.rtk.asked_odds import code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.calm import is_atmospheric
@@ -34,7 +34,7 @@ from rtkmesh.rtk.slips import SLOW_S, SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
 from rtkmesh.rtk.time_differences import unit_variance_m2
 from rtkmesh.rtk.update import Layout, Update, update
-from rtkmesh.rtk.validation import TOO_RISKY, TOO_UNCERTAIN, Resolution, decide, fix, is_clear, not_resolved, withheld
+from rtkmesh.rtk.validation import TOO_RISKY, TOO_UNCERTAIN, Resolution, decide, fix, is_clear, least_count, not_resolved, withheld
 from rtkmesh.rtk.walk import WALK_COFACTOR, WALK_FREEDOM, WALK_M, WALK_S, WALK_SQUARES_M2
 
 Vector = NDArray[np.float64]
@@ -230,7 +230,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     _note_walk(known, arranged, model_ecef_m, setup.slip)
     known.memory[SHARE] = share_of_step(step_s)
     predict_fix(known, arranged, model_ecef_m, setup.slip.base_moves)
-    dense = is_dense(layout)
+    dense = not far and is_dense(layout)
     prior = Filter(f.x.copy(), f.P.copy(), f.keys, f.history) if dense else f
     outcome = update(f, d, layout, known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     if not outcome.ok or not is_finite(f.x, f.P):
@@ -247,10 +247,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if not setup.resolving:
         return _published(updated, informed, not_resolved(), False, float_scale, look, known, setup)
     motion = Motion(known.times_s, expected, updated.modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
-    place = f
-    if look.apart:
-        place = place_by_epoch(prior, d, in_full(layout), known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
-    settled = _find_integers(f, place, informed, d, candidates, known, setup, look, motion)
+    settled = _find_integers(f, prior, informed, d, layout, candidates, known, setup, look, motion)
     resolution, informed = settled.resolution, settled.informed
     sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
     if wanted and (not resolution.fixed or resolution.odds < known.least_odds):
@@ -267,7 +264,7 @@ def _look_of(known: Known, setup: Setup, length_m: float, atmospheric: bool, far
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
     level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
-    return Look(far, atmospheric and not far, length_m, sharper, level, dense and not far and sharper == 1.0)
+    return Look(far, atmospheric and not far, length_m, sharper, level, dense and sharper == 1.0)
 
 
 @kernel
@@ -312,11 +309,11 @@ def _guarded(u: Updated, resolution: Resolution, held: tuple[int, int], look: Lo
 
 @kernel
 def _find_integers(
-    f: Filter, place: Filter, informed: Filter, d: Differences, candidates: Candidates, known: Known, setup: Setup, look: Look,
-    motion: Motion,
+    f: Filter, prior: Filter, informed: Filter, d: Differences, layout: Layout, candidates: Candidates, known: Known, setup: Setup,
+    look: Look, motion: Motion,
 ) -> Settled:  # fmt: skip
-    """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter. ``place`` is the filter
-    that says where they put the rover, if that is another (``look.apart``).
+    """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter. ``prior`` is the filter of
+    before the epoch, if the epoch places them by itself (``look.apart``).
     """
     time_s, confirmed = known.times_s[0], known.memory[CONFIRMED]
     sharp = with_sharper_phases(f, look.sharper) if look.sharper < 1.0 else f
@@ -331,13 +328,25 @@ def _find_integers(
         return settled
     note_agreement(known.memory, confirmed, time_s)
     note_proof(known.memory, confirmed, free.odds, time_s)
-    placing = Placing(place if look.apart else sharp, look.apart, look.calm)
-    resolution = fix(sharp, placing, candidates, free, known.memory, setup.resolve, known.prediction, time_s, look.level)
+    placing = _placing(sharp, prior, d, layout, candidates, known, setup, look)
+    resolution = fix(placing, free, known.memory, setup.resolve, known.prediction, time_s, look.level)
     note_fix(known.memory, resolution.fixed, time_s)
     norm = held_norm(f, candidates) if look.sharper < 1.0 else resolution.norm
     if len(informed.keys) > 0:  # the rover has come near
         informed, known.memory[INFORMED] = begin_informed(f), 0.0
     return Settled(resolution, informed, norm)
+
+
+@kernel
+def _placing(
+    f: Filter, prior: Filter, d: Differences, layout: Layout, candidates: Candidates, known: Known, setup: Setup, look: Look
+) -> Placing:
+    """Return what ``f`` holds and says of the rover's place, or the epoch by itself (``look.apart``), where enough is held for a fix."""
+    held = pairs_of(held_among(f, candidates))
+    if not look.apart or len(held) < least_count(setup.resolve):
+        return Placing(f, f, held, False, look.calm)
+    place = place_by_epoch(prior, d, in_full(layout), known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
+    return Placing(f, place, held, True, look.calm)
 
 
 @kernel

@@ -136,28 +136,47 @@ class Moved(NamedTuple):
 
 def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved", motion: Moved, around: Circumstances) -> Solution:
     """Return the relative solution: fixed where the resolution says so, else float, else differential code; ``motion`` is published."""
-    x, P, numbers = solved.x, solved.P, solved.figures.tolist()  # x and P are this epoch's alone: what is given of them are views
-    base_ecef_m = base_ecef_m.copy()
-    status = _FIX if numbers[IS_FIXED] else (_FLOAT if numbers[PHASES] >= 4 else _DGPS)
-    covariance = solved.position_cov_m2[:3, :3]
-    integrity, why = verdict(status, numbers[RESIDUAL_TEST:], (numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]), x, P, around.options)
+    numbers, base_ecef_m = solved.figures.tolist(), base_ecef_m.copy()
     solution = object.__new__(Solution)  # field by field: its own initialiser takes 3 us for so many
     solution.time = rover.time
-    solution.status = status
+    solution.status = _FIX if numbers[IS_FIXED] else (_FLOAT if numbers[PHASES] >= 4 else _DGPS)
     solution.reason = _REASON_OF[int(numbers[REASON])]
-    solution.position_ecef_m = base_ecef_m + x[:3]
-    solution.position_cov_ecef_m2 = covariance if around.base_single is None else covariance + around.base_single.covariance_m2
+    _tell_place(solution, single, base_ecef_m, solved, around)
+    _tell_motion(solution, motion)
+    _tell_figures(solution, numbers)
+    _tell_integrity(solution, numbers, solved, around)
+    solution.age_s = around.age_s
+    solution.satellites_rover, solution.satellites_base = around.satellites
+    solution.satellites = SatelliteTable(solved.satellites)
+    solution.float_state = _float_state(solved, base_ecef_m, around)
+    solution.resets = around.resets
+    solution.waited_s = 0.0
+    return solution
+
+
+def _tell_place(solution: Solution, single: Located, base_ecef_m: Vector, solved: "Solved", around: Circumstances) -> None:
+    """Say where rover and base are, and when it is there; the baseline is a view of this epoch's states, which nobody else has."""
+    covariance, base = solved.position_cov_m2[:3, :3], around.base_single
+    solution.base_ecef_m = base_ecef_m
+    solution.baseline_ecef_m = solved.x[:3]
+    solution.baseline_cov_ecef_m2 = covariance
+    solution.position_ecef_m = base_ecef_m + solved.x[:3]
+    solution.position_cov_ecef_m2 = covariance if base is None else covariance + base.covariance_m2
+    solution.single_position_ecef_m = single.position_ecef_m
+    solution.receiver_clock_s = single.clock_s
+    solution.clocks_s = single.clocks_s
+
+
+def _tell_motion(solution: Solution, motion: Moved) -> None:
+    """Say how the rover moves."""
     solution.velocity_ecef_mps = motion.velocity_mps
     solution.velocity_cov_ecef_m2ps2 = motion.velocity_cov_m2ps2
     solution.acceleration_ecef_mps2 = motion.acceleration_mps2
     solution.acceleration_cov_ecef_m2ps4 = motion.acceleration_cov_m2ps4
-    solution.base_ecef_m = base_ecef_m
-    solution.baseline_ecef_m = x[:3]
-    solution.baseline_cov_ecef_m2 = covariance
-    solution.single_position_ecef_m = single.position_ecef_m
-    solution.receiver_clock_s = single.clock_s
-    solution.clocks_s = single.clocks_s
-    solution.age_s = around.age_s
+
+
+def _tell_figures(solution: Solution, numbers: list[float]) -> None:
+    """Say what integers and residuals are like."""
     solution.ratio = numbers[RATIO]
     solution.ratio_threshold = numbers[THRESHOLD]
     solution.success_rate = numbers[SUCCESS]
@@ -165,22 +184,20 @@ def report(rover: Epoch, single: Located, base_ecef_m: Vector, solved: "Solved",
     solution.ambiguities = int(numbers[AMBIGUITIES])
     solution.ambiguities_fixed = int(numbers[COUNT_FIXED])
     solution.satellites_used = int(numbers[SATELLITES_USED])
-    solution.satellites_rover = around.satellites[0]
-    solution.satellites_base = around.satellites[1]
     solution.code_rms_m = numbers[CODE_RMS_M]
     solution.phase_rms_m = numbers[PHASE_RMS_M]
     solution.nis_per_observation = numbers[NIS]
-    solution.fix_probability = 1.0 - numbers[WRONG] if status is _FIX else 0.0
-    solution.protection_horizontal_m = numbers[PROTECTION_H_M]
-    solution.protection_vertical_m = numbers[PROTECTION_V_M]
-    solution.integrity = integrity
-    solution.integrity_reason = why
     solution.glonass_slopes_m = numbers[SLOPE_G1_M], numbers[SLOPE_G2_M]
-    solution.satellites = SatelliteTable(solved.satellites)
-    solution.float_state = _float_state(solved, base_ecef_m, around)
-    solution.resets = around.resets
-    solution.waited_s = 0.0
-    return solution
+
+
+def _tell_integrity(solution: Solution, numbers: list[float], solved: "Solved", around: Circumstances) -> None:
+    """Say how far the solution may be trusted."""
+    levels_m = numbers[PROTECTION_H_M], numbers[PROTECTION_V_M]
+    solution.fix_probability = 1.0 - numbers[WRONG] if solution.status is _FIX else 0.0
+    solution.protection_horizontal_m, solution.protection_vertical_m = levels_m
+    solution.integrity, solution.integrity_reason = verdict(
+        solution.status, numbers[RESIDUAL_TEST:], levels_m, solved.x, solved.P, around.options
+    )
 
 
 def _float_state(solved: "Solved", base_ecef_m: Vector, around: Circumstances) -> FloatState:

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.rtk.ambiguity import Candidates, held_among, held_differences, pairs_of
+from rtkmesh.rtk.ambiguity import Candidates, held_among, held_differences, norm_of, pairs_of
 from rtkmesh.rtk.filter import factor
 from rtkmesh.rtk.noise import PHASE, phase_factor
 from rtkmesh.rtk.published import FIX_DOF, FIX_SQUARES
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, Filter
-from rtkmesh.rtk.validation import norm_of
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -5,6 +5,7 @@ place. So integers may seem to have a runner-up that nothing but the slope's siz
 between two of them it is up to 5 cm (Wanninger 2012, J. Geodesy 86:139-148; 54 mm on one of our recordings), so within ``STEEPEST_M``.
 """
 
+from math import isfinite
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from rtkmesh.rtk.ambiguity import (
     Search,
     compare_integers,
     condition,
+    found_best,
     held_differences,
     pack_pairs,
     pairs_of,
@@ -49,6 +51,16 @@ class Given(NamedTuple):
     P: Matrix
     pairs: Indices
     slopes: Indices
+
+
+class Wide(NamedTuple):
+    """A search of all ambiguities, with the RIVALS best vectors and their squared norms; without them where it was cut off, or where the
+    length of the baseline is known.
+    """
+
+    found: Search
+    fixed: Matrix
+    norms: Vector
 
 
 @kernel
@@ -125,18 +137,36 @@ def _is_steep(slopes_m: Vector) -> bool:
 
 
 @kernel
-def possible(f: Filter, sloped: Search) -> Search:
-    """Return the search of all ambiguities with its odds against the best integers whose slopes may be; as it is where its own may not."""
-    states, pairs, n = slope_states(f), sloped.pairs, len(sloped.pairs)
-    fixed, norms, slopes = np.zeros((RIVALS, n)), np.zeros(RIVALS), np.empty((RIVALS, len(states)))
-    if not sloped.resolved or search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)[0] != OK:
-        return sloped
-    _slopes_of(f.x, f.P, pairs, fixed, states, slopes)
-    if _is_steep(slopes[0]):
-        return sloped
-    second = norms[_rival(slopes, 0.0)]
-    odds = log_odds(norms[0], second, n)
-    return Search(pairs, sloped.integers, sloped.values, norms[0], second, sloped.success, odds, True)
+def search_wide(f: Filter, everything: Candidates, setup: ResolveSetup) -> Wide:
+    """Search all ambiguities, with slopes as open as the filter has them."""
+    pairs = pairs_of(everything)
+    fixed, norms = np.zeros((RIVALS, len(pairs))), np.zeros(RIVALS)
+    if len(pairs) > 0 and not isfinite(setup.length_m):
+        status, success = search_pairs(f.x, f.P, pairs, NODE_LIMIT, fixed, norms)
+        if status == OK:
+            return Wide(found_best(f, pairs, fixed, norms, success), fixed, norms)
+    return Wide(search(f, everything, setup.length_m, setup.length_sigma_m), np.zeros((0, 0)), np.zeros(0))
+
+
+@kernel
+def possible(f: Filter, wide: Wide) -> Search:
+    """Return a search of all ambiguities with its odds against the best integers whose slopes may be; as it is where its own may not."""
+    found, norms, rival = wide.found, wide.norms, 1
+    if len(norms) == 0 or _have_steep(f, found.pairs, wide.fixed[0]):
+        return found
+    while rival < len(norms) - 1 and _have_steep(f, found.pairs, wide.fixed[rival]):
+        rival += 1
+    odds = log_odds(norms[0], norms[rival], len(found.pairs))
+    return Search(found.pairs, found.integers, found.values, norms[0], norms[rival], found.success, odds, True)
+
+
+@kernel
+def _have_steep(f: Filter, pairs: Indices, integers: Vector) -> bool:
+    """Return whether integers have slopes that no receivers have."""
+    states = slope_states(f)
+    slopes_m, room = np.empty(len(states)), np.empty((len(states), len(states)))
+    condition(f.x, f.P, pairs, integers, 0.0, states, slopes_m, room)
+    return _is_steep(slopes_m)
 
 
 @kernel

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags, scratch_indices, scratch_table
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
 from rtkmesh.rtk.acceptance import FAR_M, Question, log_space, search_all, try_new
@@ -20,9 +20,9 @@ from rtkmesh.rtk.ambiguity import (
     Candidates,
     Search,
     compare_integers,
-    condition,
     held_among,
     held_differences,
+    norm_of,
     pairs_of,
     take,
     tell,
@@ -235,12 +235,6 @@ def _extends(f: Filter, free: Search, asked: float) -> bool:
 
 
 @kernel_in_place
-def norm_of(f: Filter, pairs: Indices, integers: Vector) -> float:
-    """Return the squared norm of integers against the float ambiguities."""
-    return condition(f.x, f.P, pairs, integers, 0.0, scratch_indices(0), scratch(0), scratch_table(0, 0))
-
-
-@kernel_in_place
 def note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
     """Count doubts in a row; release what is held when they last, and forget where it put the rover."""
     memory[DOUBTS] = memory[DOUBTS] + 1.0 if doubt else max(memory[DOUBTS] - 1.0, 0.0)
@@ -252,53 +246,62 @@ def note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
 
 
 @kernel
-def fix(
-    f: Filter, placing: Placing, candidates: Candidates, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector,
-    time_s: float, level: float,
-) -> Resolution:  # fmt: skip
-    """Return the state that follows from what is held now; ``level`` is the variance factor of the codes (``asked_odds``).
-    ``placing`` says where these integers put the rover, which are believed by ``f``.
-    """
-    pairs, x, P = pairs_of(held_among(f, candidates)), np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC))
-    count, grade, sigma_m, norm = len(pairs), 0, np.nan, 0.0
-    if count < _least_count(setup):
+def fix(p: Placing, free: Search, memory: Vector, setup: ResolveSetup, prediction: Vector, time_s: float, level: float) -> Resolution:
+    """Return the state that follows from what is held now (``p``); ``level`` is the variance factor of the codes (``asked_odds``)."""
+    x, P, count = np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), len(p.pairs)
+    if count < least_count(setup):
         reason = FEW_AMBIGUITIES if len(free.pairs) < setup.minimum_ambiguities else NOT_SURE
-    else:
-        integers, dynamic = held_differences(f, pairs), scratch_indices(DYNAMIC)
-        for i in range(DYNAMIC):
-            dynamic[i] = i
-        norm = place_integers(placing, pairs, integers, dynamic, x, P)
-        if placing.apart or placing.calm:
-            norm = norm_of(f, pairs, integers)
-        sigma_m = _sigma_m(P)
-        away = departure(x, P, prediction) if isfinite(prediction[3]) else 0.0
-        if sigma_m > WEAK_M and is_street(level) and isfinite(prediction[3]) and not _is_far(f):
-            carry(x, P, prediction, memory[FIX_SIGMA])
-            sigma_m = _sigma_m(P)
-        alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds)
-        alone = alone or (is_street(level) and is_left_alone(memory, count, norm / count))
-        reason = FIX_OK
-        if norm == np.inf or norm > 2.0 * NORM_LIMIT * count or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
-            reason = NOT_VALID
-        elif sigma_m > (STREET_SIGMA_M if is_street(level) and not _is_far(f) else FIX_SIGMA_M):
-            reason = TOO_UNCERTAIN
-        elif away > DEPARTURE_LIMIT:
-            note(f, True, memory, prediction)
-            reason = NOT_VALID
-        elif not _is_far(f) and (alone or (are_bare(f, pairs) and not isfinite(setup.length_m))):
-            reason = NOT_VALID
-            if away <= DEPARTURE_ALONE:  # not shown, but where the next one is expected from
-                learn_fix(prediction, x, memory[SHARE])
-                memory[FIX_SIGMA] = sigma_m
-        else:
-            memory[FIX_SIGMA] = sigma_m
-            grade = 1 + (1 if memory[CONFIRMED] > 0.0 else 0)
-            if memory[CONFIRMED] >= STREAK_EPOCHS_LEAST and time_s - memory[HELD_SINCE_S] >= STREAK_S:
-                grade += 1
-            _tell(f, pairs, integers, memory, setup, grade)
+        return _resolution(reason, x, P, free, setup, 0, 0, 0.0)
+    integers, street = held_differences(p.f, p.pairs), is_street(level)
+    norm, predicted = place_integers(p, integers, x, P), isfinite(prediction[3])
+    away = departure(x, P, prediction) if predicted else 0.0
+    if predicted and street and _sigma_m(P) > WEAK_M and not _is_far(p.f):
+        carry(x, P, prediction, memory[FIX_SIGMA])
+    alone = stands_alone(memory, away, time_s, is_unsafe(count, level), free.odds)
+    alone = alone or (street and is_left_alone(memory, count, norm / count))
+    reason = _refused(p.f, p.pairs, norm, x, P, away, alone, street, memory, setup, prediction)
+    grade = _grade(memory, time_s) if reason == FIX_OK else 0
+    _tell(p.f, p.pairs, integers, memory, setup, grade)
+    return _resolution(reason, x, P, free, setup, count, grade, norm)
+
+
+@kernel_in_place
+def _refused(
+    f: Filter, pairs: Indices, norm: float, x: Vector, P: Matrix, away: float, alone: bool, street: bool, memory: Vector,
+    setup: ResolveSetup, prediction: Vector,
+) -> int:  # fmt: skip
+    """Return why a fix is not shown, FIX_OK where it is: integers must fit, its place be sharp, and not far ``away`` from the prediction (a
+    doubt of them, too) nor ``alone``.
+    """
+    sigma_m, far = _sigma_m(P), _is_far(f)
+    if norm == np.inf or norm > 2.0 * NORM_LIMIT * len(pairs) or memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0:
+        return NOT_VALID
+    if sigma_m > (STREET_SIGMA_M if street and not far else FIX_SIGMA_M):
+        return TOO_UNCERTAIN
+    if away > DEPARTURE_LIMIT:
+        note(f, True, memory, prediction)
+        return NOT_VALID
+    refused = not far and (alone or (are_bare(f, pairs) and not isfinite(setup.length_m)))
+    if refused and away <= DEPARTURE_ALONE:  # not shown, but where the next one is expected from
+        learn_fix(prediction, x, memory[SHARE])
+    if not refused or away <= DEPARTURE_ALONE:
+        memory[FIX_SIGMA] = sigma_m
+    return NOT_VALID if refused else FIX_OK
+
+
+@kernel_in_place
+def _grade(memory: Vector, time_s: float) -> int:
+    """Return how proven the integers of a fix are: 1, 2 once a search has confirmed them, and one more after many over some seconds."""
+    lasting = memory[CONFIRMED] >= STREAK_EPOCHS_LEAST and time_s - memory[HELD_SINCE_S] >= STREAK_S
+    return 1 + (1 if memory[CONFIRMED] > 0.0 else 0) + (1 if lasting else 0)
+
+
+@kernel
+def _resolution(reason: int, x: Vector, P: Matrix, free: Search, setup: ResolveSetup, count: int, grade: int, norm: float) -> Resolution:
+    """Return what came of so many held integers, and what the free search says."""
+    fixed = reason == FIX_OK
     ratio = min(free.second / max(free.norm, 1e-9), 9999.9) if free.second < np.inf else 0.0
     threshold = ratio_for(len(free.pairs), setup.confidence * ACCEPT_AT_ONCE)
-    fixed = reason == FIX_OK
     return Resolution(reason, fixed, x, P, ratio, free.odds, threshold, free.success, count if fixed else 0, grade, norm)
 
 
@@ -308,8 +311,8 @@ def _sigma_m(P: Matrix) -> float:
     return sqrt(max(P[0, 0] + P[1, 1] + P[2, 2], 0.0))
 
 
-@kernel
-def _least_count(setup: ResolveSetup) -> int:
+@kernel_in_place
+def least_count(setup: ResolveSetup) -> int:
     """Return how many integers a fix must have: four may do where a length that is known constrains them."""
     return min(setup.minimum_ambiguities, 4) if isfinite(setup.length_m) else setup.minimum_ambiguities
 

@@ -38,9 +38,12 @@ from rtkmesh.simulation.tracking import (
     SLOTS,
     TRACK,
     UNIFORMS,
-    VALUES,
+    Arriving,
+    Measured,
     SignalOptions,
+    Tracked,
     measure,
+    room_to_measure,
     signal_paths,
     update_tracking,
 )
@@ -108,6 +111,17 @@ def _signals_of(options: ReceiverOptions) -> NDArray[np.int16]:
     return signals
 
 
+def _epoch_of(tag: GpsTime, measured: Measured, count: int) -> tuple[Epoch, NDArray[np.int64]]:
+    """Return the epoch of so many measurements, and the places of their satellites in SATELLITES."""
+    place, values = measured.place[:count], measured.values[:, :count]
+    satellite = place // SLOTS
+    epoch = Epoch(
+        tag, SATELLITES[satellite], _SIGNAL_OF.ravel()[place], CHANNELS[satellite], measured.flags[:count], values[PSEUDORANGE],
+        values[PHASE], values[DOPPLER], values[CN0], values[LOCK], values[CODE_SIGMA], values[PHASE_SIGMA],
+    )  # fmt: skip
+    return epoch, satellite
+
+
 class ReceiverClock:
     """Offset of a receiver's clock as a closed form of time: drift, a slow wander and jumps of a millisecond, or held near zero."""
 
@@ -139,14 +153,13 @@ class Receiver:
         self._key = (seed, int.from_bytes(name.encode(), "big"))
         self._path, self._options, self._windows, self._surroundings = path, options, windows, surroundings
         self._sky, self._atmosphere = Sky(), Atmosphere(seed, activity)
-        self._signals = _signals_of(options)
         rng = np.random.default_rng((*self._key, 1))
         self.clock = clock or ReceiverClock(options.clock_drift, steered=options.steered, rng=rng)
-        self._code_biases_m = rng.normal(0.0, 1.0, (MAX_SATELLITE // SATELLITES_PER_SYSTEM, SLOTS))
-        self._phase_biases_cyc = rng.uniform(0.0, 1.0, self._code_biases_m.shape)
+        code_biases_m = rng.normal(0.0, 1.0, (MAX_SATELLITE // SATELLITES_PER_SYSTEM, SLOTS))
+        phase_biases_cyc = rng.uniform(0.0, 1.0, code_biases_m.shape)
         n = len(SATELLITES)
-        self._lasting = rng.standard_normal((n, SLOTS, 3))
-        self._track = np.full((n, SLOTS, TRACK), np.nan)
+        lasting, self._track = rng.standard_normal((n, SLOTS, 3)), np.full((n, SLOTS, TRACK), np.nan)
+        self._tracked = Tracked(self._track, _signals_of(options), _CARRIER_HZ, CHANNELS, code_biases_m, phase_biases_cyc, lasting)
         self._travel_s = np.full(n, _TRAVEL_S)
         self._view = np.zeros((n, VIEW))
         self._states, self._geometry, self._rates = np.empty((n, STATE)), np.empty((n, GEOMETRY)), np.empty(n)
@@ -176,22 +189,12 @@ class Receiver:
         self._step_tracking(tag, tag_s, normals, uniforms, rng.random(shape))
         reset, self._jumps = self._last is not None and jumps != self._jumps, jumps
         self._last = tag
-        options = self._options.signals
-        size = len(SATELLITES) * SLOTS
-        index, flags = np.empty(size, np.int64), np.empty(size, np.uint8)
-        halves, values = np.empty(size, np.bool_), np.empty((VALUES, size))
-        count = measure(
-            rows, self._states, self._geometry, self._rates, self._view, self._track, self._signals, _CARRIER_HZ, CHANNELS,
-            self._code_biases_m, self._phase_biases_cyc, self._lasting, tag_s, clock_s, clock_rate, options, normals, index, flags, halves,
-            values,
-        )  # fmt: skip
-        satellite, values = index[:count] // SLOTS, values[:, :count]
-        epoch = Epoch(
-            tag, SATELLITES[satellite], _SIGNAL_OF.ravel()[index[:count]], CHANNELS[satellite], flags[:count], values[PSEUDORANGE],
-            values[PHASE], values[DOPPLER], values[CN0], values[LOCK], values[CODE_SIGMA], values[PHASE_SIGMA],
-        )  # fmt: skip
+        arriving = Arriving(rows, self._states, self._geometry, self._rates, self._view)
+        measured = room_to_measure(len(SATELLITES))
+        count = measure(arriving, self._tracked, (tag_s, clock_s, clock_rate), self._options.signals, normals, measured)
+        epoch, satellite = _epoch_of(tag, measured, count)
         azimuth, elevation = self._geometry[satellite, AZIMUTH], self._geometry[satellite, ELEVATION]
-        return Observed(epoch, reset, halves[:count], time, position, velocity, azimuth, elevation)
+        return Observed(epoch, reset, measured.halves[:count], time, position, velocity, azimuth, elevation)
 
     def _add_weather(self, offset_enu_m: NDArray[np.float64], time_s: float) -> None:
         """Add what the atmosphere has beyond the models."""

@@ -10,6 +10,7 @@ from rtkmesh._jit import kernel
 from rtkmesh.gnss.constants import GPS_L1_HZ, OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.epoch import HALF_CYCLE, SLIP
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
+from rtkmesh.models.ephemeris_table import SATELLITE
 from rtkmesh.models.geometry import E_X, E_Y, E_Z, ELEVATION, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, line_of_sight, receiver_geometry
 from rtkmesh.models.orbit import STATE_CLOCK, STATE_CLOCK_RATE, STATE_OK, group_delay_m, satellite_state
 from rtkmesh.simulation.surroundings import ATTENUATION_DB, CODE_SIGMA_M, EXTRA_M, EXTRA_RATE_MPS, PATH, PHASE_SIGMA_M
@@ -208,62 +209,119 @@ def _mixed(fast: float, slow: float, lasting: float, slow_share: float, lasting_
     return sqrt(1.0 - slow_share - lasting_share) * fast + sqrt(slow_share) * slow + sqrt(lasting_share) * lasting
 
 
+class Arriving(NamedTuple):
+    """What arrives at an antenna, a row per satellite: ephemerides, states at transmission, geometry, rates as ``signal_paths`` has them,
+    and what the surroundings do (``around``, VIEW).
+    """
+
+    rows: Matrix
+    states: Matrix
+    geometry: Matrix
+    rates_mps: Vector
+    around: Matrix
+
+
+class Tracked(NamedTuple):
+    """What a receiver tracks: tracking states; signals (-1: none) and carriers by satellite and slot, channels; biases of codes and phases
+    by system and slot; what codes and phases keep of multipath and GLONASS codes of their bias (n, SLOTS, 3), unit variance.
+    """
+
+    track: Cube
+    signals: NDArray[np.int16]
+    carriers_hz: Matrix
+    channels: NDArray[np.int8]
+    code_biases_m: Matrix
+    phase_biases_cyc: Matrix
+    lasting: Cube
+
+
+class Measured(NamedTuple):
+    """Room for the measurements of an epoch, a column each: ``place`` (satellite row * SLOTS + slot), flags, values (VALUES, .), and where
+    a resolved half cycle is subtracted (``halves``).
+    """
+
+    place: NDArray[np.int64]
+    flags: NDArray[np.uint8]
+    halves: NDArray[np.bool_]
+    values: Matrix
+
+
+def room_to_measure(satellites: int) -> Measured:
+    """Return room for all signals of so many satellites."""
+    n = satellites * SLOTS
+    return Measured(np.empty(n, np.int64), np.empty(n, np.uint8), np.empty(n, np.bool_), np.empty((VALUES, n)))
+
+
 @kernel
 def measure(
-    rows: Matrix, states: Matrix, geometry: Matrix, rates_mps: Vector, view: Matrix, track: Cube, signals: NDArray[np.int16],
-    carriers_hz: Matrix, channels: NDArray[np.int8], code_biases_m: Matrix, phase_biases_cyc: Matrix, lasting: Cube, time_s: float,
-    clock_s: float, clock_rate: float, options: SignalOptions, normals: Cube, index: NDArray[np.int64], flags: NDArray[np.uint8],
-    halves: NDArray[np.bool_], values: Matrix,
-) -> int:  # fmt: skip
-    """Write all measurements of an epoch and return how many: ``index`` (satellite row * SLOTS + slot), flags, values (VALUES, .).
-
-    ``halves`` says where a resolved half cycle is subtracted. Biases are by system and slot; ``lasting`` (n, SLOTS, 3) is what
-    codes and phases keep of multipath and GLONASS codes of their bias, unit variance; clock in s and s/s.
-    """
+    arriving: Arriving, tracked: Tracked, clock: tuple[float, float, float], options: SignalOptions, normals: Cube, out: Measured
+) -> int:
+    """Write all measurements of an epoch and return how many; ``clock``: its reading (s), its offset (s) and rate (s/s)."""
     count = 0
-    for i in range(track.shape[0]):
-        system = int(rows[i, 1]) // SATELLITES_PER_SYSTEM
+    for i in range(tracked.track.shape[0]):
         for j in range(SLOTS):
-            state = track[i, j]
-            if np.isnan(state[SINCE]) or signals[i, j] < 0:
+            state = tracked.track[i, j]
+            if np.isnan(state[SINCE]) or tracked.signals[i, j] < 0:
                 continue
-            lock_s, wavelength_m = time_s - state[SINCE], _C / carriers_hz[i, j]
-            slope_m = options.glonass_slopes_m[j] * channels[i] if system == GLONASS else 0.0
-            common_m = geometry[i, RANGE] + _C * (clock_s - states[i, STATE_CLOCK]) + geometry[i, TROPOSPHERE_M] + slope_m
-            common_m += view[i, EXTRA_M]
-            ionosphere_m = geometry[i, IONOSPHERE_L1_M] * (GPS_L1_HZ / carriers_hz[i, j]) ** 2
-            values[CN0, count] = _cn0_dbhz(geometry[i, ELEVATION], j, state[FADING], options) + 0.4 * normals[i, j, 3]
-            values[CN0, count] -= view[i, ATTENUATION_DB]
-            noise = 10.0 ** ((_REFERENCE_CN0 - values[CN0, count]) / 20.0)
-            low = 1.0 / max(sin(geometry[i, ELEVATION]), _LOWEST_SINE)
-            code_own = _mixed(state[CODE_FAST], state[CODE_SLOW], lasting[i, j, 0], options.code_slow, options.code_lasting)
-            phase_own = _mixed(state[PHASE_FAST], state[PHASE_SLOW], lasting[i, j, 1], options.phase_slow, options.phase_lasting)
-            code_m = options.code_sigma_m * noise * normals[i, j, 4] + options.code_multipath_m * low * code_own
-            code_m += view[i, CODE_SIGMA_M] * state[CODE_FAST]
-            wide = _GLONASS_CODES if system == GLONASS else 1.0
-            code_m *= wide
-            if system == GLONASS:
-                code_m += options.glonass_code_bias_m * lasting[i, j, 2]
-            phase_m = options.phase_sigma_m * noise * normals[i, j, 5] + options.phase_multipath_m * low * phase_own
-            phase_m += view[i, PHASE_SIGMA_M] * state[PHASE_FAST]
-            delay_m = group_delay_m(rows[i], signals[i, j]) + code_biases_m[system, j]
-            resolved = lock_s >= options.half_cycle_time_s
-            half_cyc = 0.0 if resolved else 0.5 * state[HALF]
-            rate_mps = rates_mps[i] + _C * (clock_rate - states[i, STATE_CLOCK_RATE]) + options.rate_sigma_mps * noise * normals[i, j, 6]
-            rate_mps += view[i, EXTRA_RATE_MPS]
-            values[PSEUDORANGE, count] = common_m + ionosphere_m + delay_m + code_m
-            cycles = (common_m - ionosphere_m + phase_m) / wavelength_m
-            values[PHASE, count] = cycles + state[AMBIGUITY] + half_cyc + phase_biases_cyc[system, j]
-            values[DOPPLER, count] = -rate_mps / wavelength_m
-            values[LOCK, count] = lock_s
-            says = options.told_code_sigma_m > 0.0
-            values[CODE_SIGMA, count] = options.told_code_sigma_m * wide * noise if says else np.nan
-            values[PHASE_SIGMA, count] = options.phase_sigma_m * noise / wavelength_m if says else np.nan
-            flags[count] = (0 if resolved else HALF_CYCLE) | (SLIP if state[SLIPPED] > 0.0 else 0)
-            halves[count] = resolved and state[HALF] > 0.0
-            index[count] = i * SLOTS + j
+            _measure_signal(arriving, tracked, i, j, clock, options, normals[i, j], out.values[:, count])
+            resolved = out.values[LOCK, count] >= options.half_cycle_time_s
+            out.flags[count] = (0 if resolved else HALF_CYCLE) | (SLIP if state[SLIPPED] > 0.0 else 0)
+            out.halves[count] = resolved and state[HALF] > 0.0
+            out.place[count] = i * SLOTS + j
             count += 1
     return count
+
+
+@kernel
+def _measure_signal(
+    arriving: Arriving, tracked: Tracked, i: int, j: int, clock: tuple[float, float, float], options: SignalOptions, normal: Vector,
+    out: Vector,
+) -> None:  # fmt: skip
+    """Write the values of one signal (slot j of satellite i)."""
+    state, geometry, around, system = tracked.track[i, j], arriving.geometry[i], arriving.around[i], _system_of(arriving, i)
+    slope_m = options.glonass_slopes_m[j] * tracked.channels[i] if system == GLONASS else 0.0
+    common_m = geometry[RANGE] + _C * (clock[1] - arriving.states[i, STATE_CLOCK]) + geometry[TROPOSPHERE_M] + slope_m
+    common_m += around[EXTRA_M]
+    ionosphere_m = geometry[IONOSPHERE_L1_M] * (GPS_L1_HZ / tracked.carriers_hz[i, j]) ** 2
+    out[CN0] = _cn0_dbhz(geometry[ELEVATION], j, state[FADING], options) + 0.4 * normal[3]
+    out[CN0] -= around[ATTENUATION_DB]
+    noise = 10.0 ** ((_REFERENCE_CN0 - out[CN0]) / 20.0)
+    code_m, phase_m = _errors_m(arriving, tracked, i, j, noise, options, normal)
+    delay_m = group_delay_m(arriving.rows[i], tracked.signals[i, j]) + tracked.code_biases_m[system, j]
+    out[PSEUDORANGE] = common_m + ionosphere_m + delay_m + code_m
+    out[LOCK], wavelength_m = clock[0] - state[SINCE], _C / tracked.carriers_hz[i, j]
+    half_cyc = 0.0 if out[LOCK] >= options.half_cycle_time_s else 0.5 * state[HALF]
+    cycles = (common_m - ionosphere_m + phase_m) / wavelength_m
+    out[PHASE] = cycles + state[AMBIGUITY] + half_cyc + tracked.phase_biases_cyc[system, j]
+    rate_mps = arriving.rates_mps[i] + _C * (clock[2] - arriving.states[i, STATE_CLOCK_RATE]) + options.rate_sigma_mps * noise * normal[6]
+    rate_mps += around[EXTRA_RATE_MPS]
+    out[DOPPLER] = -rate_mps / wavelength_m
+    says, wide = options.told_code_sigma_m > 0.0, _GLONASS_CODES if system == GLONASS else 1.0
+    out[CODE_SIGMA] = options.told_code_sigma_m * wide * noise if says else np.nan
+    out[PHASE_SIGMA] = options.phase_sigma_m * noise / wavelength_m if says else np.nan
+
+
+@kernel
+def _errors_m(
+    arriving: Arriving, tracked: Tracked, i: int, j: int, noise: float, options: SignalOptions, normal: Vector
+) -> tuple[float, float]:
+    """Return the errors of a code and a phase: noise, multipath, reflections, and of GLONASS codes their bias."""
+    state, lasting, around = tracked.track[i, j], tracked.lasting[i, j], arriving.around[i]
+    low = 1.0 / max(sin(arriving.geometry[i, ELEVATION]), _LOWEST_SINE)
+    code_own = _mixed(state[CODE_FAST], state[CODE_SLOW], lasting[0], options.code_slow, options.code_lasting)
+    code_m = options.code_sigma_m * noise * normal[4] + options.code_multipath_m * low * code_own
+    code_m += around[CODE_SIGMA_M] * state[CODE_FAST]
+    if _system_of(arriving, i) == GLONASS:
+        code_m = _GLONASS_CODES * code_m + options.glonass_code_bias_m * lasting[2]
+    phase_own = _mixed(state[PHASE_FAST], state[PHASE_SLOW], lasting[1], options.phase_slow, options.phase_lasting)
+    phase_m = options.phase_sigma_m * noise * normal[5] + options.phase_multipath_m * low * phase_own
+    return code_m, phase_m + around[PHASE_SIGMA_M] * state[PHASE_FAST]
+
+
+@kernel
+def _system_of(arriving: Arriving, i: int) -> int:
+    """Return the system of a satellite."""
+    return int(arriving.rows[i, SATELLITE]) // SATELLITES_PER_SYSTEM
 
 
 @kernel
