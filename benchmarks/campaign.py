@@ -244,13 +244,17 @@ def replays(outcomes: Iterable[Outcome], seed: int, rates: Rates = ONE_HZ) -> It
 
 
 def trace(family: Family, seed: int, run: int, rates: Rates = ONE_HZ) -> Iterator[str]:
+    """Yield one line per epoch of a run of a family."""
+    return trace_of(f"{family.name} run {run} seed {seed}", simulated_run(family, seed, run, rates))
+
+
+def trace_of(title: str, simulated: Simulated) -> Iterator[str]:
     """Yield one line per epoch of a run."""
-    simulated = simulated_run(family, seed, run, rates)
     solutions = solve(simulated)
     judged = judge(simulated, solutions)
     tag = simulated.rover[0].epoch.time
     length_m = np.linalg.norm(simulated.baseline_ecef_m[0])
-    yield f"{family.name} run {run} seed {seed}: starts {tag.week} {tag.tow_s:.0f}, baseline {length_m:.1f} m"
+    yield f"{title}: starts {tag.week} {tag.tow_s:.0f}, baseline {length_m:.1f} m"
     for side, d in simulated.disturbances:
         signal = "all signals" if d.signal is None else signal_code(d.signal)
         about = f"code {d.code_m:+.1f} m {d.code_rate_mps:+.2f} m/s, phase {d.phase_cyc:+.0f} cycles"

@@ -24,7 +24,7 @@ _SETTLED_S: Final = 20  # faults come once the solver has begun
 # Motions, and how long (s) multipath hangs together on them at most: for ever, or as the vehicle moves on. A walk with an F9P shows 11 s,
 # a machine in a forest 24; the others are our choice: codes of u-blox receivers are smoothed for as long as that whatever the motion.
 _MOTIONS: Final = ((static, inf), (driving, 8.0), (boat, 15.0), (walking, 11.0))
-_BASE: Final = replace(SURVEY, steered=True)
+BASE: Final = replace(SURVEY, steered=True)
 _EARTH_M: Final = 6.371e6
 # Which systems rover and base have in common, and how often: old bases send GPS alone or GPS and GLONASS, new ones all.
 _SYSTEMS: Final = ("G", "GR", "GE", "GREC")
@@ -40,7 +40,7 @@ class Family:
     make: Callable[[Random], Setup]
 
 
-def _place(rng: Random, shortest_m: float = 50.0, longest_m: float = 5000.0) -> Offset:
+def base_place(rng: Random, shortest_m: float = 50.0, longest_m: float = 5000.0) -> Offset:
     """Return a place of a base, all orders of distance alike; it stands on the round earth."""
     distance_m = float(np.exp(rng.uniform(np.log(shortest_m), np.log(longest_m))))
     azimuth = float(rng.uniform(0.0, 2.0 * pi))
@@ -57,8 +57,8 @@ def _open(
     trajectory, multipath_s = motion or _MOTIONS[int(rng.integers(len(_MOTIONS)))]
     signals = moving(rover.signals, multipath_s) if isfinite(multipath_s) else rover.signals
     receiver = replace(rover, systems=common, frequencies=frequencies, signals=signals)
-    place = _place(rng)
-    base = replace(_BASE, signals=_BASE.signals._replace(glonass_slopes_m=slopes_of_two_makes_m(rng)))
+    place = base_place(rng)
+    base = replace(BASE, signals=BASE.signals._replace(glonass_slopes_m=slopes_of_two_makes_m(rng)))
     return Setup(seconds=seconds, options=options, trajectory=trajectory, rover=receiver, base=base, base_enu_m=place)
 
 
@@ -71,7 +71,7 @@ def _urban(rng: Random) -> Setup:
     noise = F9P.signals._replace(weak_slips_per_hour=60.0, untold_share=0.05)
     houses = city(int(rng.integers(2**31)), float(rng.uniform(8.0, 40.0)))
     run = _open(rng, replace(F9P, signals=noise), seconds=_LONG, motion=(streets, 8.0))
-    return replace(run, surroundings=houses, base_enu_m=_place(rng, 300.0, 3000.0))
+    return replace(run, surroundings=houses, base_enu_m=base_place(rng, 300.0, 3000.0))
 
 
 def _forest(rng: Random) -> Setup:
@@ -196,7 +196,7 @@ def _far(distance_m: float) -> Callable[[Random], Setup]:
     """Return the maker of runs that far from the base; the ionosphere from quiet to active (factor 3)."""
 
     def make(rng: Random) -> Setup:
-        place = _place(rng, 0.9 * distance_m, 1.1 * distance_m)
+        place = base_place(rng, 0.9 * distance_m, 1.1 * distance_m)
         activity = float(rng.uniform(0.5, 3.0))
         rover = F9P if rng.random() < 0.5 else SURVEY
         return replace(_open(rng, rover, seconds=_LONG), base_enu_m=place, activity=activity)

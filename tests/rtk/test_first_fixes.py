@@ -19,15 +19,18 @@ from rtkmesh.rtk.acceptance import (
     bears_out,
     glonass_says,
     is_borne_out,
+    log_space,
 )
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs, take
 from rtkmesh.rtk.asked_odds import (
+    ASKED_OF_FEW,
     ASKED_OF_STREETS,
     ASKED_OF_SURVEY_CODES,
     ASKED_OF_WITNESSED,
     ATMOSPHERE_FROM_M,
     FAIR_CODES,
     STREET_CODES,
+    SURVEY_CODES,
     WEAK_COUNT,
     asked_odds,
     code_level,
@@ -207,6 +210,23 @@ def test_a_subset_is_borne_out_by_the_search_of_all(left_out):
     assert not is_borne_out(f, subset, found, ALL_LEAST - 0.01, SETUP)
     assert not is_borne_out(f, subset, found._replace(resolved=False), ALL_LEAST, SETUP)
     assert not is_borne_out(f, but_one(subset, 1), found, ALL_LEAST, SETUP)
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_few_integers_are_not_believed_by_codes_that_only_seem_good(few):
+    """With the odds that are enough where codes are good they are held from WEAK_COUNT on, fewer with those that few must have."""
+    rng, gps, counts = np.random.default_rng(7), WEAK_COUNT + (0 if few else 1), np.zeros(2, np.int64)
+    for _ in range(2000):
+        f, everything = floating(rng, code_m=rng.uniform(0.5, 2.0), gps=gps, channels=np.zeros(0))
+        found = search(f, everything, np.nan, 0.01)
+        if found.odds < ASKED_OF_SURVEY_CODES + 0.01 or found.norm > len(found.pairs) or log_space(f) > 0.0:
+            continue
+        f.history[:, INTEGER] = np.nan
+        enough = found.odds >= ASKED_OF_FEW
+        decide(f, everything, new_memory(), SETUP, np.full(7, np.nan), 0.0, 0.9 * SURVEY_CODES)
+        assert np.isfinite(f.history[:, INTEGER]).any() == (enough or not few)
+        counts[int(enough)] += 1
+    assert counts.min() > 10
 
 
 def test_what_must_last_is_surer_over_a_distance_whose_atmosphere_is_no_state():

@@ -374,6 +374,7 @@ class Rtk:
         known = Known(
             np.array((state.time_s, base_s, state.rover_s, state.base_s)), state.base_ecef_m, state.rover_model_ecef_m, past.prediction,
             past.memory, past.scale, *self._velocity(around.singles), past.informed_scale, state.codes_s, past.walk, least_odds,
+            not self._moves and not self._is_fixed,
         )  # fmt: skip
         step_s = state.time_s - state.rover_s
         learned = past.learned(step_s)

@@ -32,6 +32,9 @@ MEMORY_DOF: Final = 500.0  # some tens of epochs; multipath changes within minut
 LEAST: Final = 0.005  # 0.4 mm per receiver at the zenith: no better phases exist
 MOST: Final = 4.0  # as the filter's own
 LARGEST_RATIO: Final = 25.0  # of an epoch's variance to the filter's: beyond, an epoch hardly sees one direction
+# Of a rover that stands the filter's variance is an epoch's over the number of epochs, as if their multipath were new in each. There an
+# epoch hardly sees a direction from this sigma in 3D (m) on: that of the worst fix.
+STANDING_M: Final = 0.15
 # How much of what a fix owes to earlier epochs, by ambiguities that are not held, counts. 0.4: galway_a_glw1 1.53; 0: 1.30, but
 # attitudes at 2 Hz 0.78.
 FILTER_SHARE: Final = 0.25
@@ -65,13 +68,14 @@ def fix_factor(scale: Matrix) -> float:
 
 @kernel
 def fix_covariance(
-    f: Filter, d: Differences, layout: Layout, update: Update, P: Matrix, scale: Matrix, sure: bool, base_ecef_m: Vector, modelled_m: Vector
-) -> Matrix:
+    f: Filter, d: Differences, layout: Layout, update: Update, P: Matrix, scale: Matrix, sure: bool, base_ecef_m: Vector,
+    modelled_m: Vector, stands: bool,
+) -> Matrix:  # fmt: skip
     """Return the covariance (m2, ECEF) of a fix that ``P`` is the filter's for; learn from its residuals if it is ``sure``.
 
     It is that of the epoch's own phases, and for a small part the filter's: that knows more, by ambiguities that are not held; but it takes
     multipath of successive epochs for independent. All of it counts where the epoch alone hardly sees a direction.
-    ``modelled_m`` is the baseline (ECEF) that the differences were modelled for.
+    ``modelled_m`` is the baseline (ECEF) that the differences were modelled for; ``stands``: the filter knows that the rover does.
     """
     geodetic, turn, back, filters = scratch(3), scratch_table(3, 3), scratch_table(3, 3), phase_factor(scale)
     write_geodetic(base_ecef_m + modelled_m, geodetic)
@@ -84,9 +88,10 @@ def fix_covariance(
     if sure and epoch.dof > 0:
         learn_fix(scale, epoch.chi2, float(epoch.dof))
     own = _turned(P, turn, 1.0 / filters)
-    tells = epoch.solved and _is_sound(epoch.cov, own[0, 0] + own[1, 1] + own[2, 2])
-    enu = fix_of_both(own, epoch) if tells else own
-    factor = fix_factor(scale)
+    factor, largest_m2 = fix_factor(scale), LARGEST_RATIO * (own[0, 0] + own[1, 1] + own[2, 2])
+    if stands:
+        largest_m2 = max(largest_m2, STANDING_M**2 / factor)
+    enu = fix_of_both(own, epoch) if epoch.solved and _is_sound(epoch.cov, largest_m2) else own
     enu *= factor
     enu[0, 0] += (SMOOTH_HORIZONTAL * length_m) ** 2
     enu[1, 1] += (SMOOTH_HORIZONTAL * length_m) ** 2
@@ -157,10 +162,9 @@ def far_covariance(P: Matrix, base_ecef_m: Vector, baseline_ecef_m: Vector) -> M
 
 
 @kernel_in_place
-def _is_sound(cov: Matrix, filters_m2: float) -> bool:
-    """Return whether a covariance (3 x 3) is one, and not so much larger than the filter's that the epoch has hardly seen a direction."""
+def _is_sound(cov: Matrix, largest_m2: float) -> bool:
+    """Return whether a covariance (3 x 3) is one, and not so large that the epoch has hardly seen a direction."""
     square = cov[0, 0] * cov[1, 1] - cov[0, 1] * cov[1, 0]
     cube = cov[2, 2] * square - cov[1, 2] * (cov[0, 0] * cov[2, 1] - cov[0, 1] * cov[2, 0])
     cube += cov[0, 2] * (cov[1, 0] * cov[2, 1] - cov[1, 1] * cov[2, 0])
-    largest_m2 = LARGEST_RATIO * filters_m2
     return bool(cov[0, 0] > 0.0 and square > 0.0 and cube > 0.0 and cov[0, 0] + cov[1, 1] + cov[2, 2] < largest_m2)

@@ -93,7 +93,7 @@ class Known(NamedTuple):
     be in the last epoch; ``prediction`` where the last fix and the motion since put the baseline (m, ECEF), its sigma (m), and the last
     epoch's velocity; the velocity is the Doppler velocity relative to the base. What is not known is NaN. ``codes_s`` is when codes were
     seen (``code_arcs``); ``walk`` is written to (``walk``). ``least_odds`` are the log odds of integers without which nobody wants the
-    solution; minus infinite: it is wanted in any case.
+    solution; minus infinite: it is wanted in any case. ``stands``: the rover does, somewhere.
     """
 
     times_s: Vector
@@ -108,6 +108,7 @@ class Known(NamedTuple):
     codes_s: Matrix
     walk: Vector
     least_odds: float
+    stands: bool
 
 
 class Look(NamedTuple):
@@ -278,7 +279,7 @@ def _published(
         learn_fix(known.prediction, resolution.x, known.memory[SHARE])
     if resolution.fixed and len(informed.keys) == 0:
         alike = resolution.P / look.sharper
-        published = fix_covariance(f, d, layout, outcome, alike, known.scale, sure, known.base_ecef_m, u.modelled_m)
+        published = fix_covariance(f, d, layout, outcome, alike, known.scale, sure, known.base_ecef_m, u.modelled_m, known.stands)
         if is_vague(published, look.level, held[0]):
             resolution = withheld(resolution, TOO_UNCERTAIN)
     guarded = _guarded(u, resolution, held, look, known, setup)

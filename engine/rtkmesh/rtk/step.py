@@ -19,6 +19,9 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 ASTRAY: Final = UNCLEAR + 1  # beside those of ``relative``: the filters must begin anew
+# By so much (m per square root of second) the place of a rover that stands is free in the informed filter: what is left of the atmosphere
+# comes and goes within minutes, and integers of a place that was known to 3 mm strained it.
+STANDING_WALK_M: Final = 0.01
 _FAR_M: Final = 200.0  # a prediction that is off the single-point position by more is not believed
 
 
@@ -76,6 +79,9 @@ def move_on(f: Filter, informed: Filter, located: Located, step: Step, known: Kn
     walks, moves = walks_of(setup, step.length_m, known.memory), step.moves and not step.reseeds
     if len(informed.keys) > 0 and not advance(informed, step.dt_s, moves, step.motion, step.base_ecef_m, walks, SEED_MOVING):
         informed = Filter(np.zeros(DYNAMIC), np.zeros((DYNAMIC, DYNAMIC)), np.zeros(0, np.int64), np.zeros((0, HISTORY)))
+    if known.stands and len(informed.keys) > 0:
+        for i in range(3):
+            informed.P[i, i] += STANDING_WALK_M**2 * step.dt_s
     if not advance(f, step.dt_s, moves, step.motion, step.base_ecef_m, walks, SEED_MOVING):
         return informed, False
     if step.strays and located.status == CONVERGED and _is_astray(f, located, step.base_ecef_m):
