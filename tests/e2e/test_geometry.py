@@ -73,7 +73,7 @@ def test_known_places_give_one_frequency_an_attitude_at_once(up: Callable[..., D
     found: dict[str, list[AttitudeMessage]] = {name: [] for name in ("two", "two_alone", "three", "three_alone")}
     for name, messages in found.items():
         deployment.bus.subscribe(ATT.key(name), lambda s, to=messages: to.append(decode(AttitudeMessage, s.payload, s.encoding)))
-    deployment.until(lambda: min(len(usable(found[name])) for name in ("two", "three")) >= ENOUGH, 90.0)
+    deployment.until(lambda: min(len(usable(found[name])) for name in ("two", "three")) >= ENOUGH, 150.0)
     good = {name: usable(messages) for name, messages in found.items()}
     by_geometry = [m for m in (*good["two"], *good["three"]) if "geometry" in m.sources.values()]
     print({name: len(messages) for name, messages in good.items()}, f"waited {median(m.waited_ms for m in by_geometry):.2f} ms")

@@ -96,6 +96,32 @@ def test_a_known_length_brings_up_what_has_it_whoever_knows_it() -> None:
     assert off_m(strong) > 0.5 * off_m(free)
 
 
+def certainty(rate_hz: float) -> tuple[float, float]:
+    """Return the sigma (m, 3D) that candidates have after two seconds of GPS alone, and the least one of floats (cycles)."""
+    issues, engine = EphemerisTable(), Rtk(options(None, systems="G"))
+    for satellite in SATELLITES.tolist():
+        issues.add(broadcast(satellite, START))
+    base, rover = (open_stream("boat", name, seed=5, rate_hz=rate_hz, start=START).receiver() for name in ("rover", "heading"))
+    for k in range(int(2.0 * rate_hz) + 1):
+        time = START + k / rate_hz
+        engine.step(rover.observe(time).epoch, base.observe(time).epoch, issues, KLOBUCHAR)
+    found, state = engine.candidates(), engine._state
+    assert found is not None
+    assert state is not None
+    n = len(state.filter.keys)
+    differences = np.eye(n)[1:] - np.eye(n)[0]
+    floats = differences @ state.filter.P[-n:, -n:] @ differences.T
+    return float(np.sqrt(np.trace(found.cov_ecef_m2))), float(np.sqrt(np.linalg.eigvalsh(floats)[0]))
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0])
+def test_candidates_are_placed_by_phases_that_count_in_full(rate_hz: float) -> None:
+    """All epochs of a second say of ambiguities what one does; where these put the rover an epoch knows by itself."""
+    (placed_m, known_cyc), (placed_1hz_m, known_1hz_cyc) = certainty(rate_hz), certainty(1.0)
+    assert placed_m < 1.2 * placed_1hz_m
+    assert known_cyc > 0.8 * known_1hz_cyc
+
+
 def test_an_epoch_without_a_base_has_none() -> None:
     engine = Rtk(options(None))
     rover = open_stream("boat", "heading", seed=5, rate_hz=1.0, start=START).receiver()

@@ -35,9 +35,14 @@ def test_a_solution_gets_its_names_back():
     """Every field is where it was, those of both filters too."""
     f, informed = (Filter(np.full(10, k), np.full((10, 10), k), np.full(1, 7), np.full((1, 3), k)) for k in (1.0, 2.0))
     solved = Solved(
-        SOLVED, f, informed, np.full(9, 3.0), np.full((9, 9), 4.0), np.full(22, 5.0), np.full((2, 14), 6.0), np.full((3, 3), 7.0)
-    )
+        SOLVED, f, informed, np.full(9, 3.0), np.full((9, 9), 4.0), np.full(22, 5.0), np.full((2, 14), 6.0), np.full((3, 3), 7.0),
+        (np.full(10, 8.0), np.full((10, 10), 9.0)),
+    )  # fmt: skip
     back = renamed(unnamed(solved))
     assert (type(back), type(back.filter), type(back.informed)) == (Solved, Filter, Filter)
-    for before, after in zip((*solved[:1], *f, *informed, *solved[3:]), (*back[:1], *back.filter, *back.informed, *back[3:]), strict=True):
+    for before, after in zip(
+        (*solved[:1], *f, *informed, *solved[3:-1], *solved.place),
+        (*back[:1], *back.filter, *back.informed, *back[3:-1], *back.place),
+        strict=True,
+    ):
         np.testing.assert_array_equal(after, before)

@@ -62,11 +62,13 @@ class Ranked(NamedTuple):
 
 
 def candidate_table(
-    f: Filter, satellites: SatelliteTable, memory: Vector, scale: Matrix, setup: Setup, length: tuple[float, float] | None = None
-) -> CandidateTable | None:
+    f: Filter, place: tuple[Vector, Matrix], satellites: SatelliteTable, memory: Vector, scale: Matrix, setup: Setup,
+    length: tuple[float, float] | None = None,
+) -> CandidateTable | None:  # fmt: skip
     """Return the best candidates of an epoch with this filter and satellite table; None where too little can be searched.
 
-    ``length`` (m) of the baseline and its sigma, if the filter's options do not tell it.
+    ``place`` are states and covariance of the filter that says where integers put the rover. ``length`` (m) of the baseline and its sigma,
+    if the filter's options do not tell it.
     """
     found = _usable(f, satellites, setup, glonass=memory[TRUSTS_GLONASS] > 0.0)
     if len(found.row) < 2:
@@ -76,7 +78,8 @@ def candidate_table(
         length_m, sigma_m = length
     if (f.history[found.row, ARC_EPOCHS] <= 1.0).all():
         f = with_sharper_phases(f, sharpness(scale))
-    ranked = rank(f, found, length_m, sigma_m)
+        place = f.x, f.P
+    ranked = rank(f, *place, found, length_m, sigma_m)
     if not len(ranked.norms):
         return None
     keys, columns = f.keys[found.row], np.zeros(len(f.x), np.int64)
@@ -107,8 +110,9 @@ def _usable(f: Filter, satellites: SatelliteTable, setup: Setup, *, glonass: boo
 
 
 @kernel
-def rank(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: float) -> Ranked:
-    """Search the integers of all double differences of the candidates and keep the KEPT best, by the length too where it is known.
+def rank(f: Filter, place_x: Vector, place_P: Matrix, candidates: Candidates, length_m: float, length_sigma_m: float) -> Ranked:
+    """Search the integers of all double differences of the candidates and keep the KEPT best, by the length too where it is known; the
+    filter of states ``place_x`` says where they put the rover.
 
     None where the covariance is not positive definite or the search does not end.
     """
@@ -117,7 +121,7 @@ def rank(f: Filter, candidates: Candidates, length_m: float, length_sigma_m: flo
     a, Q, gain, mean, cov = np.empty(n), np.empty((n, n)), np.zeros((3, n)), np.zeros(3), np.zeros((3, 3))
     fixed, norms, totals, status, beyond = np.zeros((KEPT, n)), np.zeros(KEPT), np.zeros(KEPT), -1, 0.0
     difference(f.x, f.P, pairs, a, Q)
-    if n > 0 and gain_of(f.x, f.P, pairs, gain, mean, cov):
+    if n > 0 and gain_of(place_x, place_P, pairs, gain, mean, cov):
         given = Given(mean, gain, cov, length_m, length_sigma_m)
         status, beyond, _ = nearest_of_length(a, Q, given, NODE_LIMIT, fixed, norms, totals)
     kept = int(np.sum(np.isfinite(totals))) if status == OK else 0

@@ -25,7 +25,7 @@ def unnamed(solved: Solved) -> Plain:
     f, informed = solved.filter, solved.informed
     return (
         solved.status, (f.x, f.P, f.keys, f.history), (informed.x, informed.P, informed.keys, informed.history), solved.x, solved.P,
-        solved.figures, solved.satellites, solved.position_cov_m2,
+        solved.figures, solved.satellites, solved.position_cov_m2, solved.place,
     )  # fmt: skip
 
 

@@ -156,9 +156,10 @@ class Rtk:
 
         ``length`` (m) of the baseline and its sigma, where somebody else than these options knows it: it ranks them, and fixes nothing.
         """
-        if self._state is None or self._satellites is None or self.options.ambiguity.mode is AmbiguityMode.OFF:
+        if self._state is None or self._state.place is None or self._satellites is None or self.options.ambiguity.mode is AmbiguityMode.OFF:
             return None
-        return candidate_table(self._state.filter, self._satellites, self._past.memory, self._past.scale, self._setup, length)
+        f, place = self._state.filter, self._state.place
+        return candidate_table(f, place, self._satellites, self._past.memory, self._past.scale, self._setup, length)
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""
@@ -387,6 +388,7 @@ class Rtk:
         past.count_in_part(learned, step_s)
         if solved.status in (SOLVED, FEW_COMMON):
             state.filter, state.informed = solved.filter, solved.informed
+            state.place = solved.place
         if solved.status == SOLVED:
             state.rover_s, state.base_s = state.time_s, base_s
         return solved
@@ -395,7 +397,8 @@ class Rtk:
         """Return the relative solution with several base epochs that share no system."""
         informed, moved = move_on(state.filter, state.informed, around.singles[0], step, known, self._setup)
         if not moved:
-            return Solved(ASTRAY, state.filter, informed, state.filter.x, state.filter.P, np.zeros(FIGURES), np.zeros((0, 0)), _UNKNOWN)
+            x, P = state.filter.x, state.filter.P
+            return Solved(ASTRAY, state.filter, informed, x, P, np.zeros(FIGURES), np.zeros((0, 0)), _UNKNOWN, (x, P))
         model_ecef_m = state.rover_ecef_m
         solved = solve(state.filter, informed, self._combined(state, around), known, self._setup)
         if solved.status == SOLVED:

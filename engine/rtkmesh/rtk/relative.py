@@ -140,7 +140,7 @@ class Updated(NamedTuple):
 class Solved(NamedTuple):
     """What came of a pair of epochs: SOLVED, FEW_COMMON, NOT_FINITE or UNCLEAR (no such integers as are wanted); the filter and the
     informed one; dynamic states and their covariance; the row of figures and the satellite table as ``report`` has them; the covariance of
-    the position that is published.
+    the position that is published; states and covariance of the filter that says where integers would put the rover (``placing``).
     """
 
     status: int
@@ -151,6 +151,7 @@ class Solved(NamedTuple):
     figures: Vector
     satellites: Matrix
     position_cov_m2: Matrix
+    place: tuple[Vector, Matrix]
 
 
 @kernel
@@ -208,7 +209,7 @@ def differences_of(
 @kernel
 def unsolved(status: int, f: Filter, informed: Filter) -> Solved:
     """Return what there is of an epoch without a solution: why, and its filters."""
-    return Solved(status, f, informed, f.x, f.P, np.zeros(FIGURES), np.zeros((0, 0)), f.P)
+    return Solved(status, f, informed, f.x, f.P, np.zeros(FIGURES), np.zeros((0, 0)), f.P, (f.x, f.P))
 
 
 @kernel
@@ -246,9 +247,9 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     updated = Updated(f, d, layout, outcome, codes, model_ecef_m - known.base_ecef_m)
     float_scale = float_factor(f, d, layout, codes, known.scale, setup.ambiguity_walk_cyc, step_s, updated.modelled_m)
     if not setup.resolving:
-        return _published(updated, informed, not_resolved(), False, float_scale, look, known, setup)
+        return _published(updated, f, informed, not_resolved(), False, float_scale, look, known, setup)
     motion = Motion(known.times_s, expected, updated.modelled_m, known.velocity_mps, known.velocity_cov_m2ps2, since_s)
-    settled = _find_integers(f, prior, informed, d, layout, candidates, known, setup, look, motion)
+    settled, place = _find_integers(f, prior, informed, d, layout, candidates, known, setup, look, motion)
     resolution, informed = settled.resolution, settled.informed
     sure = resolution.fixed and (resolution.grade >= 2 or resolution.odds >= SURE)
     if wanted and (not resolution.fixed or resolution.odds < known.least_odds):
@@ -256,7 +257,7 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if sure:
         squares = (outcome.phase_chi2 + settled.norm) * phase_factor(known.scale)
         learn_phases(known.scale, squares, outcome.phase_dof + resolution.integers)
-    return _published(updated, informed, resolution, sure, float_scale, look, known, setup)
+    return _published(updated, place, informed, resolution, sure, float_scale, look, known, setup)
 
 
 @kernel
@@ -270,8 +271,9 @@ def _look_of(known: Known, setup: Setup, length_m: float, atmospheric: bool, far
 
 @kernel
 def _published(
-    u: Updated, informed: Filter, resolution: Resolution, sure: bool, float_scale: float, look: Look, known: Known, setup: Setup
-) -> Solved:
+    u: Updated, place: Filter, informed: Filter, resolution: Resolution, sure: bool, float_scale: float, look: Look, known: Known,
+    setup: Setup,
+) -> Solved:  # fmt: skip
     """Return the solution of an epoch: the fix, if it is neither vague nor too risky, else the float solution; and what is said of it."""
     f, d, layout, outcome = u.f, u.d, u.layout, u.outcome
     published, held = resolution.P, held_satellites(f, d, layout)
@@ -294,10 +296,10 @@ def _published(
     satellites = describe_pairs(f, d, layout, outcome, resolution.fixed, known.times_s[0])
     if not resolution.fixed:
         P = f.P[:DYNAMIC, :DYNAMIC].copy()
-        return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), P, figures, satellites, float_scale * P[:3, :3])
+        return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), P, figures, satellites, float_scale * P[:3, :3], (place.x, place.P))
     if len(informed.keys) > 0 and len(setup.antennas) == 0:
         published = far_covariance(resolution.P, known.base_ecef_m, resolution.x[:3])
-    return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published)
+    return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published, (place.x, place.P))
 
 
 @kernel
@@ -312,9 +314,9 @@ def _guarded(u: Updated, resolution: Resolution, held: tuple[int, int], look: Lo
 def _find_integers(
     f: Filter, prior: Filter, informed: Filter, d: Differences, layout: Layout, candidates: Candidates, known: Known, setup: Setup,
     look: Look, motion: Motion,
-) -> Settled:  # fmt: skip
-    """Return what the epoch says of integers: near by the witness alone, beyond 10 km with the informed filter. ``prior`` is the filter of
-    before the epoch, if the epoch places them by itself (``look.apart``).
+) -> tuple[Settled, Filter]:  # fmt: skip
+    """Return what the epoch says of integers, near by the witness alone, beyond 10 km with the informed filter; and the filter that says
+    where they put the rover. ``prior`` is the filter of before the epoch, if the epoch places them by itself (``look.apart``).
     """
     time_s, confirmed = known.times_s[0], known.memory[CONFIRMED]
     sharp = with_sharper_phases(f, look.sharper) if look.sharper < 1.0 else f
@@ -326,7 +328,7 @@ def _find_integers(
         note_agreement(known.memory, confirmed, time_s)
         note_proof(known.memory, confirmed, free.odds, time_s)
         note_fix(known.memory, settled.resolution.fixed, time_s)
-        return settled
+        return settled, f
     note_agreement(known.memory, confirmed, time_s)
     note_proof(known.memory, confirmed, free.odds, time_s)
     placing = _placing(sharp, prior, d, layout, candidates, known, setup, look)
@@ -335,16 +337,18 @@ def _find_integers(
     norm = held_norm(f, candidates) if look.sharper < 1.0 else resolution.norm
     if len(informed.keys) > 0:  # the rover has come near
         informed, known.memory[INFORMED] = begin_informed(f), 0.0
-    return Settled(resolution, informed, norm)
+    return Settled(resolution, informed, norm), placing.place if placing.apart else f
 
 
 @kernel
 def _placing(
     f: Filter, prior: Filter, d: Differences, layout: Layout, candidates: Candidates, known: Known, setup: Setup, look: Look
 ) -> Placing:
-    """Return what ``f`` holds and says of the rover's place, or the epoch by itself (``look.apart``), where enough is held for a fix."""
+    """Return what ``f`` holds and says of the rover's place, or the epoch by itself (``look.apart``), where enough is held for a fix; of a
+    moving base in any case, as those who know its length or shape look at candidates.
+    """
     held = pairs_of(held_among(f, candidates))
-    if not look.apart or len(held) < least_count(setup.resolve):
+    if not look.apart or (len(held) < least_count(setup.resolve) and not setup.slip.base_moves):
         return Placing(f, f, held, False, look.calm)
     place = place_by_epoch(prior, d, in_full(layout), known.scale, known.velocity_mps, known.velocity_cov_m2ps2)
     return Placing(f, place, held, True, look.calm)

@@ -127,11 +127,15 @@ def of_the_rover(f: Filter, sigma_m: float) -> Filter:
 
 @dataclass(slots=True, eq=False)
 class FilterState:
-    """What the engine carries of one filter. Mutable. Times in seconds since ``origin``; the model position is the last epoch's."""
+    """What the engine carries of one filter. Mutable. Times in seconds since ``origin``; the model position is the last epoch's.
+
+    ``place``: states and covariance by which integers of the last epoch put the rover somewhere (``placing``).
+    """
 
     origin: GpsTime
     filter: Filter = field(default_factory=new_filter)
     informed: Filter = field(default_factory=new_filter)
+    place: tuple[Vector, Matrix] | None = None
     time_s: float = 0.0
     base_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
     rover_model_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
