@@ -41,7 +41,7 @@ from simulated import Offset, Setup, Simulated, judge, simulate, slopes_of_two_m
 Row = dict[str, Any]
 
 SECONDS: Final = 40
-RUNS: Final = 2000  # 10 minutes on two cores that do nothing else
+RUNS: Final = 1000
 QUICK_RUNS: Final = 150
 OFF: Final = "off"
 _ABOVE_M: Final = -1.5  # of both antennas of a vehicle over its origin (down)
