@@ -23,12 +23,13 @@ from rtkmesh.rtk.acceptance import (
 )
 from rtkmesh.rtk.ambiguity import NODE_LIMIT, Candidates, pairs_of, search, search_pairs, take
 from rtkmesh.rtk.asked_odds import (
-    ASKED_OF_FEW,
+    ASKED_OF_SCANT,
     ASKED_OF_STREETS,
     ASKED_OF_SURVEY_CODES,
     ASKED_OF_WITNESSED,
     ATMOSPHERE_FROM_M,
     FAIR_CODES,
+    SCANT_COUNT,
     STREET_CODES,
     SURVEY_CODES,
     WEAK_COUNT,
@@ -212,19 +213,19 @@ def test_a_subset_is_borne_out_by_the_search_of_all(left_out):
     assert not is_borne_out(f, but_one(subset, 1), found, ALL_LEAST, SETUP)
 
 
-@pytest.mark.parametrize("few", [True, False])
-def test_few_integers_are_not_believed_by_codes_that_only_seem_good(few):
-    """With the odds that are enough where codes are good they are held from WEAK_COUNT on, fewer with those that few must have."""
-    rng, gps, counts = np.random.default_rng(7), WEAK_COUNT + (0 if few else 1), np.zeros(2, np.int64)
+@pytest.mark.parametrize("scant", [True, False])
+def test_scant_integers_are_not_believed_by_codes_that_only_seem_good(scant):
+    """With the odds that are enough where codes are good they are held from SCANT_COUNT on, fewer with those that they must have."""
+    rng, gps, counts = np.random.default_rng(7), SCANT_COUNT + (0 if scant else 1), np.zeros(2, np.int64)
     for _ in range(2000):
         f, everything = floating(rng, code_m=rng.uniform(0.5, 2.0), gps=gps, channels=np.zeros(0))
         found = search(f, everything, np.nan, 0.01)
         if found.odds < ASKED_OF_SURVEY_CODES + 0.01 or found.norm > len(found.pairs) or log_space(f) > 0.0:
             continue
         f.history[:, INTEGER] = np.nan
-        enough = found.odds >= ASKED_OF_FEW
+        enough = found.odds >= ASKED_OF_SCANT
         decide(f, everything, new_memory(), SETUP, np.full(7, np.nan), 0.0, 0.9 * SURVEY_CODES)
-        assert np.isfinite(f.history[:, INTEGER]).any() == (enough or not few)
+        assert np.isfinite(f.history[:, INTEGER]).any() == (enough or not scant)
         counts[int(enough)] += 1
     assert counts.min() > 10
 

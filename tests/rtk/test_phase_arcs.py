@@ -8,7 +8,7 @@ from tests.rtk.simulated_session import solutions
 
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, RtkOptions
-from rtkmesh.rtk.phase_arcs import INDEPENDENT_S, phase_inflations
+from rtkmesh.rtk.phase_arcs import ALIKE_S, phase_inflations
 from rtkmesh.rtk.solution import Status
 from rtkmesh.rtk.state import ARC_EPOCHS, HISTORY, SEEN_S
 
@@ -23,7 +23,7 @@ def history(*rows: tuple[float, float]) -> np.ndarray:
 @given(rate_hz=st.sampled_from([2.0, 5.0, 10.0, 20.0, 50.0]))
 def test_the_phases_of_a_second_say_together_what_one_says(rate_hz: float):
     (inflation,) = phase_inflations(history((30.0, 7.0)), np.array([0]), 7.0 + 1.0 / rate_hz)
-    assert rate_hz / inflation == pytest.approx(1.0 / INDEPENDENT_S)
+    assert rate_hz / inflation == pytest.approx(1.0 / ALIKE_S)
 
 
 @pytest.mark.parametrize("step_s", [0.95, 1.0, 5.0, 30.0])
@@ -36,7 +36,7 @@ def test_each_phase_has_an_arc_of_its_own():
     """A phase without an ambiguity, one that has begun in this epoch and one that was away count in full."""
     rows = history((30.0, 9.8), (0.0, 9.8), (12.0, 8.0), (5.0, 9.9))
     found = phase_inflations(rows, np.array([-1, 0, 1, 2, 3]), 10.0)
-    assert found == pytest.approx([1.0, INDEPENDENT_S / 0.2, 1.0, 1.0, INDEPENDENT_S / 0.1])
+    assert found == pytest.approx([1.0, ALIKE_S / 0.2, 1.0, 1.0, ALIKE_S / 0.1])
 
 
 def sigma_after(seconds: int, rate_hz: float) -> float:

@@ -10,7 +10,7 @@ from rtkmesh._jit import kernel, kernel_in_place
 from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.models.odds import NORM_LIMIT
 from rtkmesh.rtk.ambiguity import Candidates, Search, compare_integers, search, take
-from rtkmesh.rtk.asked_odds import WEAK_COUNT, is_felt, odds_of_lasting
+from rtkmesh.rtk.asked_odds import SCANT_COUNT, WEAK_COUNT, is_felt, odds_of_lasting
 from rtkmesh.rtk.common_integers import search_common
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -72,7 +72,7 @@ SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chanc
 class Question(NamedTuple):
     """What an epoch asks in which no integers are held: the filter, and the one that knows a prediction, where that ``helped``; candidates
     without those of GLONASS that are not trusted, and ``everything``; the log odds from which one search is believed (``asked_odds``),
-    those of the ``free`` search, and those that ``few`` integers must have in any case; ``reflected``: codes are worse than those of
+    those of the ``free`` search, and those that ``scant`` integers must have in any case; ``reflected``: codes are worse than those of
     patches in the open.
     """
 
@@ -84,7 +84,7 @@ class Question(NamedTuple):
     free: Search
     asked: float
     asked_of_free: float
-    few: float
+    scant: float
     reflected: bool
 
 
@@ -181,7 +181,7 @@ def _stands(q: Question, answer: Answer, strong: bool, space: float, far2: float
     if suspect and not is_borne_out(q.f, found, q.free, memory[LAST_ODDS], setup):
         return False
     said = glonass_says(q.aided, q.everything, found, setup) if len(q.everything.row) > len(q.candidates.row) else SILENT
-    if len(found.pairs) < WEAK_COUNT and far2 <= 1.0 and said != AGREES and found.odds < setup.confidence * q.few:
+    if len(found.pairs) < SCANT_COUNT and far2 <= 1.0 and said != AGREES and found.odds < setup.confidence * q.scant:
         return False
     least = setup.confidence * odds_of_lasting(q.f, len(found.pairs)) + answer.penalty + space
     return said != OBJECTS and (strong or not (answer.part or said != AGREES) or found.odds >= least)

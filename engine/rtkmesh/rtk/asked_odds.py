@@ -30,11 +30,11 @@ STREET_CODES: Final = 4.0
 MIRRORED_CODES: Final = 2.0
 ASKED_OF_STREETS: Final = 9.0
 WEAK_COUNT: Final = 8  # fewer integers are few
-# Residuals do not show what lasts of code multipath: an F9P against an F9P has codes like those of survey antennas. Of one system's
-# phases on one band (2874 simulated runs of 90 s, F9P and survey receivers) searches of five to seven differences with log odds of 5 to 6
-# were wrong in 132 of 7302, of more in 3 of 1597. First fixes from 5 on were wrong in 11 of 1284 runs, from 5.5 on of few in 6 of 1209,
-# from 6 on in 5 of 1156, from 7 on in 3 of 1019.
-ASKED_OF_FEW: Final = 5.5
+# Residuals do not show what lasts of code multipath: an F9P against an F9P has codes like those of survey antennas. Of 1176 first fixes,
+# from log odds of 5 on, of two such antennas that move together (GPS, one band, 1 to 10 Hz; simulated) 53 had six integers, and 6 of
+# these were wrong; of the others 7.
+SCANT_COUNT: Final = 7
+ASKED_OF_SCANT: Final = 6.0
 # Nearer, what the atmosphere leaves is below the phases' multipath.
 ATMOSPHERE_FROM_M: Final = 4e3
 DOUBLED_M: Final = 10e3  # one epoch cannot tell its atmosphere: there log odds are worth half (``integrity.sureness``)
@@ -82,11 +82,11 @@ def asked_odds(level: float, witnessed: bool, baseline_m: Vector) -> float:
 
 
 @kernel_in_place
-def asked_of_few(level: float) -> float:
-    """Return the log odds that few integers must have in any case, however long searches have given them, for codes of this variance
-    factor: codes that seem to be those of survey antennas may have errors that last.
+def asked_of_scant(level: float) -> float:
+    """Return the log odds that fewer than SCANT_COUNT integers must have in any case, however long searches have given them, for codes of
+    this variance factor: codes that seem to be those of survey antennas may have errors that last.
     """
-    return ASKED_OF_FEW if level <= SURVEY_CODES else 0.0
+    return ASKED_OF_SCANT if level <= SURVEY_CODES else 0.0
 
 
 @kernel_in_place

@@ -17,6 +17,7 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 INDEPENDENT_S: Final = 0.9  # phases that are so far apart count in full: at 1 Hz all do
+ALIKE_S: Final = 1.0  # of those nearer to each other so many seconds say what one does
 
 
 @kernel
@@ -27,5 +28,6 @@ def phase_inflations(history: Matrix, place: Indices, time_s: float) -> Vector:
     out = np.ones(len(place))
     for k in range(len(place)):
         if place[k] >= 0 and history[place[k], ARC_EPOCHS] > 0.0:
-            out[k] = max(INDEPENDENT_S / max(time_s - history[place[k], SEEN_S], 1e-3), 1.0)
+            since_s = time_s - history[place[k], SEEN_S]
+            out[k] = ALIKE_S / max(since_s, 1e-3) if since_s < INDEPENDENT_S else 1.0
     return out

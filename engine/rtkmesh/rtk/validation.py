@@ -28,7 +28,7 @@ from rtkmesh.rtk.ambiguity import (
     tell,
     write_held_differences,
 )
-from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, asked_of_few, is_reflected, is_street
+from rtkmesh.rtk.asked_odds import FAIR_CODES, asked_odds, asked_of_scant, is_reflected, is_street
 from rtkmesh.rtk.joining import extend, join
 from rtkmesh.rtk.memory import (
     ACCEPT_AFTER_STREAK,
@@ -144,7 +144,9 @@ def decide(
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
     aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
-        question = Question(f, aided, helped, candidates, everything, free, asked, asked_of_told, asked_of_few(level), is_reflected(level))
+        question = Question(
+            f, aided, helped, candidates, everything, free, asked, asked_of_told, asked_of_scant(level), is_reflected(level)
+        )
         try_new(question, memory, setup, time_s)
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
