@@ -78,9 +78,10 @@ def test_recorded_static_pairs(sigmas: ModuleType, data: Path, name: str, fix: t
         assert low < sigmas.figures(errors)["mean"] < high, mode
 
 
-# Bands, class, place of the base (ENU, m), seconds, and bounds of the mean of fixes in the static mode. Behind them 1.18 and 1.10; as long
-# as the filter's own covariance counted where it was much smaller than an epoch's, as it is after some time without motion, 14.8 and 2.5.
-STANDING_STILL = [(1, "M8", (60.0, 80.0, 2.0), 60, (0.5, 2.0), 8), (2, "F9P", (6500.0, 8500.0, 2.0), 90, (0.4, 1.8), 6)]
+# Bands, class, place of the base (ENU, m), seconds, and bounds of the mean of fixes in the static mode. Behind them 1.59 and 0.96 (fixes
+# by themselves 1.18 and 1.10); as long as the filter's own covariance counted where it was much smaller than an epoch's, as it is after
+# some time without motion, 14.8 and 2.5.
+STANDING_STILL = [(1, "M8", (60.0, 80.0, 2.0), 60, (0.5, 2.2), 8), (2, "F9P", (6500.0, 8500.0, 2.0), 90, (0.4, 1.8), 6)]
 
 
 @pytest.mark.slow
@@ -111,16 +112,16 @@ def test_simulated_static_mode(
     assert bounds[0] < np.mean(means) < bounds[1]
 
 
-# Recording, least share of fixes, and bounds of their mean, in the static mode. Behind them 1 and 0.41, 0.996 and 0.72; with the filter's
+# Recording, least share of fixes, and bounds of their mean, in the static mode. Behind them 1 and 0.24, 0.996 and 1.38; with the filter's
 # own covariance 0.81 (none in the last five hours) and 3.5, 0.996 and 5.7.
-STATIC_MODE = [("nl_35km", 0.999, (0.2, 1.0)), ("galway_a_glw1", 0.99, (0.4, 1.2))]
+STATIC_MODE = [("nl_35km", 0.999, (0.1, 1.0)), ("galway_a_glw1", 0.99, (0.4, 1.7))]
 
 
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "least", "bounds"), STATIC_MODE)
 def test_recorded_static_mode(sigmas: ModuleType, data: Path, name: str, least: float, bounds: tuple[float, float]):
-    """What is fixed in the kinematic mode is so in the static one, and as honest: against the mean place of the kinematic one."""
+    """What is fixed in the kinematic mode is so in the static one, as honest and quieter: against the mean place of the kinematic one."""
     case, fixes = sigmas.load(data, [name])[0], dict[Mode, list[Solution]]()
     for mode in (Mode.KINEMATIC, Mode.STATIC):
         all_ = sigmas.recorded.solutions(case, RtkOptions(mode=mode, systems=case.systems, frequencies=case.frequencies))
@@ -128,6 +129,8 @@ def test_recorded_static_mode(sigmas: ModuleType, data: Path, name: str, least: 
         assert len(fixes[mode]) > least * len(all_)
     truth_ecef_m = np.mean([s.position_ecef_m for s in fixes[Mode.KINEMATIC]], axis=0)
     assert bounds[0] < sigmas.errors(fixes[Mode.STATIC], truth_ecef_m).squares().mean() < bounds[1]
+    rms_m = {mode: float(np.sqrt(np.mean(sigmas.errors(found, truth_ecef_m).error ** 2))) for mode, found in fixes.items()}
+    assert rms_m[Mode.STATIC] < 0.7 * rms_m[Mode.KINEMATIC]
 
 
 # Family, rate, whether there are Dopplers, and bounds of the mean of its velocities. Behind them (seed 1, ten runs): 0.95,

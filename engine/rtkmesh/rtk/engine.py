@@ -44,6 +44,7 @@ from rtkmesh.rtk.report import FIGURES, IS_FIXED, Circumstances, Moved, from_sin
 from rtkmesh.rtk.residuals import Differences, combine
 from rtkmesh.rtk.setup import setup_of
 from rtkmesh.rtk.solution import Reason, SatelliteTable, Solution
+from rtkmesh.rtk.standing import Standing
 from rtkmesh.rtk.state import SEED_FIXED, SEED_MOVING, SEED_STANDING, Filter, FilterState, filter_at, length_m
 from rtkmesh.rtk.step import ASTRAY, Step, move_on, take_step
 from rtkmesh.rtk.walk import no_walk
@@ -82,6 +83,7 @@ class Rtk:
         self._past = Past(new_memory(), np.full(7, nan), new_code_scale(), new_code_scale(), no_walk())
         self._rates = RateErrors(), RateErrors()  # of the rover and of a moving base
         self._pace = Pace()
+        self._standing = Standing()
         self._resets = 0
         self._absurd = 0
         self._was_fixed = False
@@ -110,7 +112,8 @@ class Rtk:
     def _use(self, setup: Setup) -> None:
         """Take what the options say to kernels, and of modes what every epoch asks for."""
         self._setup, self._plain_setup = setup, plain(setup)
-        self._base_moves, self._is_fixed = self.options.mode is Mode.MOVING_BASE, self.options.mode is Mode.FIXED
+        mode = self.options.mode
+        self._base_moves, self._is_fixed, self._is_static = mode is Mode.MOVING_BASE, mode is Mode.FIXED, mode is Mode.STATIC
         self._is_single, self._is_instantaneous = (
             self.options.mode is Mode.SINGLE, self.options.ambiguity.mode is AmbiguityMode.INSTANTANEOUS,
         )  # fmt: skip
@@ -140,6 +143,7 @@ class Rtk:
             return Continuation(why)
         moved = self._moves
         self.options = options
+        self._standing.forget()
         self._use(setup_of(options)._replace(antennas=self._setup.antennas))
         self._motion, self._point = _motion_of(options), self._point_setup(self._klobuchar)
         self._keeps_baseline = self._keeps_baseline or now.mode is Mode.MOVING_BASE is not options.mode
@@ -169,6 +173,7 @@ class Rtk:
 
     def _forget(self) -> None:
         self._state = None
+        self._standing.forget()
         self._past.forget()
 
     def step(
@@ -321,6 +326,8 @@ class Rtk:
             self.reset()
             return replace(self._alone(rover, base, single), reason=Reason.FILTER_RESET, age_s=age_s, resets=self._resets)
         self._was_fixed = self._was_fixed or solved.figures[IS_FIXED] > 0.0
+        if self._is_static and solved.figures[IS_FIXED]:
+            solved = self._stood(solved, around)
         factors = self._rates[0].factor, self._rates[1].factor
         circumstances = Circumstances(
             age_s, self._moves, self._sense, around.singles[1], factors, around.satellites, self._resets, self.options
@@ -329,6 +336,13 @@ class Rtk:
         solution = report(rover, single, around.base_ecef_m, solved, motion, circumstances)
         self._satellites = solution.satellites
         return solution
+
+    def _stood(self, solved: Solved, around: Around) -> Solved:
+        """Return a fix of a rover that stands, placed by all fixes since it does."""
+        place_m, cov_m2 = self._standing.place(around.rover.time, around.base_ecef_m, solved.x[:3].copy(), solved.position_cov_m2[:3, :3])
+        x = solved.x.copy()
+        x[:3] = place_m
+        return solved._replace(x=x, position_cov_m2=cov_m2)
 
     def _followed(self, around: Around, solved: Solved, circumstances: Circumstances) -> Moved:
         """Return the motion with the velocity that walks and Dopplers say; of a moving base its Dopplers are among these."""
