@@ -88,3 +88,13 @@ def test_times_may_fall():
     last = [standing.place(START + -float(k), BASE, TRUE, cov) for k in range(300)][-1][1]
     assert np.trace(last) == pytest.approx(np.trace(placed(np.zeros((300, 3)), 0.01)[-1][1]), rel=1e-6)
     assert np.trace(standing.place(START + -299.0, BASE, TRUE, cov)[1]) == pytest.approx(np.trace(last), rel=1e-9)
+
+
+@pytest.mark.parametrize("cov", [np.full((3, 3), np.nan), np.zeros((3, 3)), np.diag([1.0, 1.0, np.inf])])
+def test_a_covariance_that_is_none_does_no_harm(cov: np.ndarray):
+    standing = Standing()
+    placed(np.zeros((10, 3)), 0.01, standing=standing)
+    assert standing.place(START + 10.0, BASE, TRUE + EAST, cov)[1] is cov
+    place, told = standing.place(START + 11.0, BASE, TRUE, 1e-4 * np.eye(3))
+    assert place == pytest.approx(TRUE)
+    assert np.isfinite(told).all()

@@ -42,8 +42,10 @@ class Standing:
         """Return where the rover is from the base, and the covariance (m, ECEF), by a fix that is there and all before it.
 
         Times rise or fall all the time. A fix of another place counts by itself; if more follow, the rover is taken to stand there. Where
-        the base's position changes the mean begins anew.
+        the base's position changes the mean begins anew. A covariance that is none is returned, and the fix forgotten.
         """
+        if not np.isfinite(cov_m2).all() or not np.linalg.det(cov_m2) > 0.0:
+            return baseline_m, cov_m2
         if self._time is None or not np.array_equal(base_ecef_m, self._base_ecef_m):
             return self._begin(time, base_ecef_m, baseline_m, cov_m2)
         mean_m, mean_cov_m2 = self._mean()
