@@ -44,6 +44,7 @@ class Receiver:
         self.path = os.ttyname(self.slave)
         self._baud, self._period_s = baud, period_s
         self._stop = threading.Event()
+        self._plugged = True
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def start(self) -> "Receiver":
@@ -57,9 +58,10 @@ class Receiver:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
-        for end in (self.master, self.slave):
-            with suppress(OSError):
-                os.close(end)
+        if self._plugged:  # once: the numbers may be somebody else's by now
+            self._plugged = False
+            os.close(self.master)
+            os.close(self.slave)
 
     def _run(self) -> None:
         speeds = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
