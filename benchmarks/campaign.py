@@ -195,17 +195,23 @@ def _means(values: NDArray[np.float64]) -> list[float] | None:
 def page(rows: dict[str, Row]) -> str:
     """Return the table of all families as Markdown."""
     titles = {family.name: f"{family.name}: {family.title}" for family in FAMILIES}
-    return table(COLUMNS, [_cells(titles.get(name, name), row) for name, row in rows.items()])
+    return table(COLUMNS, [cells(titles.get(name, name), row) for name, row in rows.items()])
 
 
-def _cells(title: str, row: Row) -> list[str]:
+def cells(title: str, row: Row) -> list[str]:
+    """Return the cells of a row of COLUMNS."""
     first = " / ".join(">" if value is None else f"{value:.3g}" for value in row["first_right_s"])
-    squares = ["" if row[name] is None else " / ".join(_short(v) for v in row[name]) for name in ("nees_fix", "nees_float")]
     return [
         title, str(row["runs"]), str(row["epochs"]), f"{row['fix_pct']:.1f}", f"{row['right_pct']:.1f}", str(row["wrong_fixes"]),
         _bounded(row["wrong_pct_of_fixes"], row["wrong_pct_of_fixes_95"]), str(row["runs_with_wrong"]),
-        _bounded(row["runs_with_wrong_pct"], row["runs_with_wrong_pct_95"]), f"{row['longest_wrong_s']:g}", first, *squares,
+        _bounded(row["runs_with_wrong_pct"], row["runs_with_wrong_pct_95"]), f"{row['longest_wrong_s']:g}", first,
+        told(row["nees_fix"]), told(row["nees_float"]),
     ]  # fmt: skip
+
+
+def told(means: Sequence[float] | None) -> str:
+    """Return the cell of normalised squared errors."""
+    return "" if means is None else " / ".join(_short(mean) for mean in means)
 
 
 def _short(value: float) -> str:

@@ -1,6 +1,6 @@
 """The families of the campaign: what each run of a family is, drawn from the run's own random numbers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import cos, hypot, inf, isfinite, pi, radians, sin
 from typing import Final
@@ -23,7 +23,9 @@ _LONG: Final = 150
 _SETTLED_S: Final = 20  # faults come once the solver has begun
 # Motions, and how long (s) multipath hangs together on them at most: for ever, or as the vehicle moves on. A walk with an F9P shows 11 s,
 # a machine in a forest 24; the others are our choice: codes of u-blox receivers are smoothed for as long as that whatever the motion.
-_MOTIONS: Final = ((static, inf), (driving, 8.0), (boat, 15.0), (walking, 11.0))
+MOTIONS: Final[Mapping[str, tuple[Trajectory, float]]] = {
+    "static": (static, inf), "driving": (driving, 8.0), "boat": (boat, 15.0), "walking": (walking, 11.0),
+}  # fmt: skip
 BASE: Final = replace(SURVEY, steered=True)
 _EARTH_M: Final = 6.371e6
 # Which systems rover and base have in common, and how often: old bases send GPS alone or GPS and GLONASS, new ones all.
@@ -48,15 +50,19 @@ def base_place(rng: Random, shortest_m: float = 50.0, longest_m: float = 5000.0)
     return distance_m * sin(azimuth), distance_m * cos(azimuth), up_m
 
 
+def in_motion(receiver: ReceiverOptions, multipath_s: float) -> ReceiverOptions:
+    """Return a receiver whose multipath hangs together for so long (s; infinite: it stands)."""
+    return replace(receiver, signals=moving(receiver.signals, multipath_s)) if isfinite(multipath_s) else receiver
+
+
 def _open(
     rng: Random, rover: ReceiverOptions, *, frequencies: int = 2, seconds: int = _OPEN, motion: tuple[Trajectory, float] | None = None
 ) -> Setup:
-    """Return a run under an open sky, 50 m to 5 km from the base; ``motion``: one of _MOTIONS by default."""
+    """Return a run under an open sky, 50 m to 5 km from the base; ``motion``: one of MOTIONS by default."""
     options = RtkOptions(frequencies=frequencies)
     common = "".join(s for s in str(rng.choice(_SYSTEMS, p=_SHARES)) if s in rover.systems)
-    trajectory, multipath_s = motion or _MOTIONS[int(rng.integers(len(_MOTIONS)))]
-    signals = moving(rover.signals, multipath_s) if isfinite(multipath_s) else rover.signals
-    receiver = replace(rover, systems=common, frequencies=frequencies, signals=signals)
+    trajectory, multipath_s = motion or list(MOTIONS.values())[int(rng.integers(len(MOTIONS)))]
+    receiver = in_motion(replace(rover, systems=common, frequencies=frequencies), multipath_s)
     place = base_place(rng)
     base = replace(BASE, signals=BASE.signals._replace(glonass_slopes_m=slopes_of_two_makes_m(rng)))
     return Setup(seconds=seconds, options=options, trajectory=trajectory, rover=receiver, base=base, base_enu_m=place)

@@ -23,19 +23,18 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, count, islice
-from math import inf, isfinite
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 import kernel_cache  # noqa: F401  first of all
-from campaign import Outcome, figures, outcome, trace_of
-from families import BASE, Random, base_place
+from campaign import COLUMNS as CAMPAIGN_COLUMNS
+from campaign import Outcome, cells, figures, outcome, told, trace_of
+from families import BASE, MOTIONS, Random, base_place, in_motion
 from results import table
 from rtkmesh.rtk.options import AmbiguityMode, AmbiguityOptions, Mode, RtkOptions
-from rtkmesh.simulation.classes import F9P, M8, SURVEY, moving
+from rtkmesh.simulation.classes import F9P, M8, SURVEY
 from rtkmesh.simulation.receiver import ReceiverOptions
-from rtkmesh.simulation.trajectories import Trajectory, boat, driving, static, walking
 from simulated import Offset, Setup, Simulated, judge, simulate, slopes_of_two_makes_m, solve
 
 Row = dict[str, Any]
@@ -58,14 +57,7 @@ BASES: Final = {"survey": 0.5, "same": 0.5}
 DISTANCES: Final = {"50 m to 500 m": 0.4, "500 m to 5 km": 0.4, "10 km": 0.2}
 _BOUNDS_M: Final = {"50 m to 500 m": (50.0, 500.0), "500 m to 5 km": (500.0, 5e3), "10 km": (0.9 * _FAR_M, 1.1 * _FAR_M)}
 _RECEIVERS: Final[Mapping[str, ReceiverOptions]] = {"F9P": F9P, "SURVEY": SURVEY, "M8": M8}
-# How long multipath hangs together on each motion at most: as in families.py.
-_MOTIONS: Final[Mapping[str, tuple[Trajectory, float]]] = {
-    "static": (static, inf), "driving": (driving, 8.0), "boat": (boat, 15.0), "walking": (walking, 11.0),
-}  # fmt: skip
-COLUMNS: Final = (
-    "level", "runs", "epochs", "fix %", "right %", "wrong fixes", "wrong % of fixes (95 %)", "runs with wrong", "% of runs (95 %)",
-    "longest wrong s", "first right fix s", "NEES fix", "NEES float", "NEES without integers",
-)  # fmt: skip
+COLUMNS: Final = ("level", *CAMPAIGN_COLUMNS[1:], "NEES without integers")
 
 
 class Configuration(NamedTuple):
@@ -94,7 +86,7 @@ def drawn(rng: Random) -> Configuration:
     """Return a configuration. In the static modes the rover stands; antennas of a vehicle have the distance of the mode and one rate."""
     mode, systems, frequencies, rate = (_one_of(rng, weights) for weights in (MODES, SYSTEMS, FREQUENCIES, RATES))
     receiver, ambiguities, distance = str(rng.choice(list(_RECEIVERS))), _one_of(rng, AMBIGUITIES), _one_of(rng, DISTANCES)
-    motion = "static" if mode in {Mode.STATIC, Mode.STATIC_START} else str(rng.choice(list(_MOTIONS)))
+    motion = "static" if mode in {Mode.STATIC, Mode.STATIC_START} else str(rng.choice(list(MOTIONS)))
     frequencies = "1" if receiver == "M8" else frequencies
     if length := _length(mode):
         return Configuration(mode, systems, frequencies, rate.partition("/")[0], receiver, ambiguities, motion, length, "same")
@@ -108,9 +100,9 @@ def _length(mode: str) -> str:
 
 def setup_of(c: Configuration, rng: Random) -> Setup:
     """Return what is simulated of a configuration and how it is solved."""
-    trajectory, multipath_s = _MOTIONS[c.motion]
+    trajectory, multipath_s = MOTIONS[c.motion]
     like = replace(_RECEIVERS[c.receiver], systems=c.systems, frequencies=int(c.frequencies))
-    rover = replace(like, signals=moving(like.signals, multipath_s)) if isfinite(multipath_s) else like
+    rover = in_motion(like, multipath_s)
     rover_hz, _, base_hz = c.rate.partition("/")
     run = Setup(seconds=SECONDS, rate_hz=int(rover_hz), base_rate_hz=int(base_hz or 0), options=_options_of(c), trajectory=trajectory)
     run = replace(run, rover=rover, base=replace(like, clock_drift=_BASE_DRIFT))
@@ -211,24 +203,8 @@ def page(rows: Mapping[str, Row]) -> str:
 
 
 def _cells(level: str, row: Row) -> list[str]:
-    without = _told(row["nees_without_integers"])
-    if "runs" not in row:
-        return [level, *[""] * (len(COLUMNS) - 2), without]
-    first = " / ".join(">" if value is None else f"{value:.3g}" for value in row["first_right_s"])
-    return [
-        level, str(row["runs"]), str(row["epochs"]), f"{row['fix_pct']:.1f}", f"{row['right_pct']:.1f}", str(row["wrong_fixes"]),
-        _bounded(row, "wrong_pct_of_fixes"), str(row["runs_with_wrong"]), _bounded(row, "runs_with_wrong_pct"),
-        f"{row['longest_wrong_s']:g}", first, _told(row["nees_fix"]), _told(row["nees_float"]), without,
-    ]  # fmt: skip
-
-
-def _bounded(row: Row, name: str) -> str:
-    low, high = row[f"{name}_95"]
-    return f"{row[name]:.2f} ({low:.2f} to {high:.2f})"
-
-
-def _told(means: Sequence[float] | None) -> str:
-    return "" if means is None else " / ".join(f"{value:.2f}" for value in means)
+    known = cells(level, row) if "runs" in row else [level, *[""] * (len(COLUMNS) - 2)]
+    return [*known, told(row["nees_without_integers"])]
 
 
 def only_of(text: str) -> dict[str, frozenset[str]]:
@@ -244,7 +220,7 @@ def only_of(text: str) -> dict[str, frozenset[str]]:
 def levels_of(factor: str) -> frozenset[str]:
     """Return the levels of a factor (ValueError: there is none of this name)."""
     lengths = [length for length in map(_length, MODES) if length]
-    levels = (MODES, SYSTEMS, FREQUENCIES, RATES, _RECEIVERS, AMBIGUITIES, _MOTIONS, (*DISTANCES, *lengths), BASES)
+    levels = (MODES, SYSTEMS, FREQUENCIES, RATES, _RECEIVERS, AMBIGUITIES, MOTIONS, (*DISTANCES, *lengths), BASES)
     if factor not in Configuration._fields:
         raise ValueError(f"there is no factor {factor!r}; there are {', '.join(Configuration._fields)}")
     return frozenset(levels[Configuration._fields.index(factor)])
