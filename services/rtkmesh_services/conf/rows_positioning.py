@@ -83,9 +83,9 @@ ROWS: Final = (
     Row("stats-errphaseel", _NUM, "0.003", _T, "solver.noise.phase_b_m", "", tuning=True),
     Row("stats-errphasebl", _NUM, "0", _I, "", "the part that grows with the baseline is the orbits', 0.1 mm per km, and the atmosphere's, which is estimated"),
     Row("stats-errdoppler", _NUM, "1", _I, "", "the noise of Dopplers is learned from their residuals"),
-    Row("stats-snrmax", _NUM, "52", _I, "", "noise follows elevation and residuals, not C/N0", only="demo5"),
-    Row("stats-errsnr", _NUM, "0", _I, "", "noise follows elevation and residuals, not C/N0", only="demo5"),
-    Row("stats-errrcv", _NUM, "0", _I, "", "the receiver's own sigmas are recorded, not used", only="demo5"),
+    Row("stats-snrmax", _NUM, "52", _I, "", "noise follows elevation, C/N0 (twice the variance at 34 dB-Hz) and residuals", only="demo5"),
+    Row("stats-errsnr", _NUM, "0", _I, "", "noise follows elevation, C/N0 (twice the variance at 34 dB-Hz) and residuals", only="demo5"),
+    Row("stats-errrcv", _NUM, "0", _I, "", "the receiver's own sigmas are part of the noise, as they are", only="demo5"),
     Row("stats-stdbias", _NUM, "30", _I, "", "new ambiguities begin with what code and phase say of them"),
     Row("stats-stdiono", _NUM, "0.03", _I, "", "the ionosphere's states have their own"),
     Row("stats-stdtrop", _NUM, "0.3", _I, "", "the zenith delay has its own"),
@@ -95,7 +95,7 @@ ROWS: Final = (
     Row("stats-prniono", _NUM, "0.001", _I, "", "the ionosphere's states have their own"),
     Row("stats-prntrop", _NUM, "0.0001", _I, "", "the zenith delay has its own"),
     Row("stats-prnpos", _NUM, "0", _I, "", _PPP),
-    Row("stats-clkstab", _NUM, "5e-12", _I, "", "satellites' clocks are predicted by their own ephemerides"),
+    Row("stats-clkstab", _NUM, "5e-12", _I, "", "by the age of the base epoch clocks are taken to drift by as much, 1.5 mm per second"),
     Row("misc-timeinterp", _ENUM, "off", _T, "solver.sync.interpolate", "of recordings: rtkmesh solve does so unless it is told --no-interpolation; live no later base epoch is known", None, c.SWITCH),
 )
 # fmt: on
