@@ -26,7 +26,7 @@ from typing import Any, Final
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-import rt_load
+import rt_targets
 from latency_stages import Stamps, after, around_put, before, child, figures, listening, stamp_ingest, stamp_solver
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh_schemas.attitude import AttitudeMessage
@@ -97,7 +97,7 @@ def _antenna(name: str) -> str:
 def run(rate: float, seconds: float) -> dict[str, Any]:
     """Play simulated epochs through the processes; return the stages' quantiles, ms."""
     tables = tomllib.loads(FILE.read_text())
-    hub, *ports = rt_load.free_ports(1 + len(tables["ingest"]))
+    hub, *ports = rt_targets.free_ports(1 + len(tables["ingest"]))
     receivers = dict(zip(tables["ingest"], ports, strict=True))
     start = GpsTime(GpsTime.from_utc(datetime.now(UTC)).week, FIRST_TOW_S)  # the base's RTCM does not say its week
     chunks = [_bytes_of(name, rate, start, int(rate * (START_S + WARM_S + seconds))) for name in receivers]

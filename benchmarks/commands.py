@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 import kernel_cache  # noqa: F401  first of all
-import rt_load
+import rt_targets
 from rtkmesh_schemas.command import Reply, Request
 from rtkmesh_schemas.keys import CMD, SOL
 from rtkmesh_schemas.solution import SolutionMessage
@@ -188,7 +188,7 @@ def main() -> None:
     parser.add_argument("--data", help="not needed")
     options = parser.parse_args()
     count = 30 if options.quick else options.count
-    [port] = rt_load.free_ports(1)
+    [port] = rt_targets.free_ports(1)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "commands.toml"
         file.write_text(SITE.format(port=port, rate=options.rate))

@@ -31,7 +31,7 @@ from typing import Any, Final
 import numpy as np
 
 import kernel_cache  # noqa: F401  first of all
-import rt_load
+import rt_targets
 from cases import data_folder
 from load_streams import Receiver, receivers
 from rtkmesh.codecs.framing import Framer
@@ -130,7 +130,7 @@ def quantile(values: Sequence[float], percent: float) -> float:
 @contextmanager
 def deployment(streams: Sequence[Receiver], folder: Path) -> Generator[tuple[str, int, list[socket.socket]]]:
     """Run `rtkmesh up` with an ingest for each stream; give the hub's address, the process, and the connected sockets."""
-    hub, *ports = rt_load.free_ports(1 + len(streams))
+    hub, *ports = rt_targets.free_ports(1 + len(streams))
     servers = [socket.create_server(("127.0.0.1", port)) for port in ports]
     rows = [INGEST.format(name=stream.name, port=port, date=stream.date) for stream, port in zip(streams, ports, strict=True)]
     file = folder / f"load-{hub}.toml"

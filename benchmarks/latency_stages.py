@@ -23,7 +23,9 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-import rt_load
+import rt_judgement
+import rt_logs
+import rt_targets
 from realtime import deployment
 from rtkmesh_schemas.keys import SOL, Role
 from rtkmesh_schemas.solution import SolutionMessage
@@ -163,8 +165,8 @@ def around_put(owner: type, stream: str, name: str, now: dict[str, Any], stamps:
 def run(data: Path, rate: float, seconds: float) -> dict[str, Any]:
     """Play the recordings through the processes; return the stages' quantiles, ms."""
     stromlo = data / "stromlo_rtcm"
-    logs = [rt_load.load_log(str(stromlo / f"week-rollover-STR{n}.rtcm3"), "rtcm3", True) for n in (24, 17)]
-    hub, rover, base = rt_load.free_ports(3)
+    logs = [rt_logs.load_log(str(stromlo / f"week-rollover-STR{n}.rtcm3"), "rtcm3", True) for n in (24, 17)]
+    hub, rover, base = rt_targets.free_ports(3)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "deployment.toml"
         file.write_text(deployment(hub, rover, base))
@@ -220,7 +222,7 @@ def play(logs: list[Any], feeds: list[socket.socket], hub: str, rate: float, sec
             partner = int(np.argmin(np.abs(base.times - when)))
             connections[1].sendall(base.chunks[partner])
             connections[0].sendall(rover.chunks[first + number])
-            sent[round(float(when) % rt_load.WEEK, 3)] = time.monotonic_ns()
+            sent[round(float(when) % rt_judgement.WEEK, 3)] = time.monotonic_ns()
         time.sleep(1.0)
     return {"user.sent": sent, "user.arrived": arrived}
 

@@ -19,6 +19,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 import rt_load
+import rt_logs
+import rt_targets
 from rtkmesh_schemas.keys import SOL
 from rtkmesh_schemas.solution import SolutionMessage
 from rtkmesh_schemas.wire import decode
@@ -106,7 +108,7 @@ class BusSolutions:
         self._bus.close()
 
 
-class Deployment(rt_load.Spawn):
+class Deployment(rt_targets.Spawn):
     """One command that runs several solvers."""
 
     def __init__(self, command: str, solvers: int, rover: str, base: str) -> None:
@@ -119,7 +121,7 @@ class Deployment(rt_load.Spawn):
 
 
 def ours(folder: Path, solvers: int):
-    hub, rover, base = rt_load.free_ports(3)
+    hub, rover, base = rt_targets.free_ports(3)
     file = folder / f"deployment-{hub}.toml"
     file.write_text(deployment(hub, rover, base, solvers))
     target = Deployment(f"{sys.executable} -m rtkmesh_services.cli.main up {file} --quiet", solvers, str(rover), str(base))
@@ -135,11 +137,11 @@ def deployment(hub: int, rover: int, base: int, solvers: int = 1) -> str:
 
 
 def rtkrcv(folder: Path, binary: str, count: int):
-    rover, base = rt_load.free_ports(2)
+    rover, base = rt_targets.free_ports(2)
     conf = folder / "rtkrcv.conf"
     x, y, z = BASE_ECEF_M
     conf.write_text(RTKRCV.format(x=x, y=y, z=z))
-    return rt_load.Rtkrcv(binary, count, str(conf), ("rtcm3", "rtcm3"), str(rover), str(base), []), f"listen:{rover}", f"listen:{base}"
+    return rt_targets.Rtkrcv(binary, count, str(conf), ("rtcm3", "rtcm3"), str(rover), str(base), []), f"listen:{rover}", f"listen:{base}"
 
 
 def measure(logs, target_at, name: str, seconds: float) -> dict:
@@ -163,7 +165,7 @@ def main() -> None:
     o = p.parse_args()
     os.environ.setdefault("PYTHONPATH", str(Path(__file__).parent))
     stromlo = Path(o.data) / "stromlo_rtcm"
-    logs = [rt_load.load_log(str(stromlo / f"week-rollover-STR{n}.rtcm3"), "rtcm3", True) for n in (24, 17)]
+    logs = [rt_logs.load_log(str(stromlo / f"week-rollover-STR{n}.rtcm3"), "rtcm3", True) for n in (24, 17)]
     results = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in [c for c in CASES if not o.only or c in o.only.split(",")]:

@@ -5,12 +5,17 @@ import os
 import socket
 import struct
 import threading
+from itertools import islice
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-NAMES = ("rt_load", "rt_judgement")
+from rtkmesh.gnss.time import GpsTime
+from rtkmesh.simulation.scenario import open_stream
+
+NAMES = ("rt_load", "rt_logs", "rt_targets", "rt_judgement")
 EPOCHS, WARM, INTERVAL_S = 40, 10, 0.02
 FIRST_S = 2200 * 604800.0 + 3600.0
 PLACE_M = (4000000.0, 300000.0, 4900000.0)
@@ -30,12 +35,12 @@ def server(rover: int, base: int, out: socket.socket, lost: int) -> None:
 def test_what_is_sent_and_answered_is_counted(benchmarks: SimpleNamespace):
     load, lost = benchmarks.rt_load, 20
     times = FIRST_S + np.arange(EPOCHS) * 1.0
-    log = load.Log("rtcm3", times, [struct.pack("<d", t % benchmarks.rt_judgement.WEEK) for t in times], b"")
-    rover, base = load.free_ports(2)
+    log = benchmarks.rt_logs.Log("rtcm3", times, [struct.pack("<d", t % benchmarks.rt_judgement.WEEK) for t in times], b"")
+    rover, base = benchmarks.rt_targets.free_ports(2)
     with socket.create_server(("127.0.0.1", 0)) as out:
         answering = threading.Thread(target=server, args=(rover, base, out, lost), daemon=True)
-        target = load.External([os.getpid()], [f"connect:{out.getsockname()[1]}"])
-        target.start = lambda: (load.External.start(target), answering.start())
+        target = benchmarks.rt_targets.External([os.getpid()], [f"connect:{out.getsockname()[1]}"])
+        target.start = lambda: (benchmarks.rt_targets.External.start(target), answering.start())
         report = load.run(
             log, log, target, f"listen:{rover}", f"listen:{base}", interval=INTERVAL_S, seconds=(EPOCHS - WARM) * INTERVAL_S, warm=WARM,
             truth=PLACE_M, drain=1.0,
@@ -52,6 +57,24 @@ def test_what_is_sent_and_answered_is_counted(benchmarks: SimpleNamespace):
     assert entry["latency_ms"]["max"] >= entry["latency_ms"]["p50"] > 0.0
     assert (entry["processes"], entry["exit_codes"]) == (1, [None])
     assert entry["cpu_s"] > 0.0
+
+
+@pytest.mark.parametrize(("antenna", "fmt", "last"), [("rover", "ubx", 0x0215), ("base", "rtcm3", 1127)])
+def test_a_log_is_cut_behind_its_observations(benchmarks: SimpleNamespace, tmp_path: Path, antenna: str, fmt: str, last: int):
+    """Nothing in between is lost, and a torn frame at its end belongs to no epoch; ephemerides of RTCM are known at once."""
+    start = GpsTime(2400, 604797.0)  # the week ends in between
+    stream = open_stream("demo", antenna, seed=1, rate_hz=1.0, start=start)
+    epochs = list(islice(stream.epochs(), 6))
+    path = tmp_path / "log"
+    path.write_bytes(b"".join(epoch.data for epoch in epochs) + epochs[0].data[:20])
+    log = benchmarks.rt_logs.load_log(str(path))
+    assert log.format == fmt
+    assert np.diff(log.times) == pytest.approx(np.ones(5), abs=1e-3)
+    assert log.times[0] % benchmarks.rt_judgement.WEEK == pytest.approx(start.tow_s, abs=1e-3)
+    assert path.read_bytes().startswith(b"".join(log.chunks))
+    assert bool(log.prime) == (fmt == "rtcm3")
+    frames = benchmarks.rt_logs.ubx_frames if fmt == "ubx" else benchmarks.rt_logs.rtcm_frames
+    assert [[kind for _, _, kind in frames(chunk)][-1] for chunk in log.chunks] == [last] * 6
 
 
 def record(judgement, tow, moment, age_s=0.0):

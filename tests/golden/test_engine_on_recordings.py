@@ -252,6 +252,20 @@ def test_35_kilometres_for_a_day(data):
     assert first <= 2
 
 
+def test_35_kilometres_between_receivers_that_stand(data):
+    """With known antennas, where a fix has the covariance of the informed filter: of an hour, the mean is as sure as it says."""
+    folder, base = data / "nl_cors_2021_001", (3908910.3663, 330932.7742, 5012262.5786)
+    case = rinex(folder, "delf0010.21d", "zegv0010.21d", "CBW100NLD_R_20210010000_01D_MN.rnx", base, 120)
+    find, truth = antenna_finder(), np.array((3924687.7327, 301132.7684, 5001910.8144))
+    antennas = find("TRM29659.00     UNAV", ""), find("SEPCHOKE_B3E6   SPKE", "")
+    last = {mode: case.solve(RtkOptions(mode=mode, systems="GR", frequencies=2), antennas)[-1] for mode in (Mode.STATIC, Mode.KINEMATIC)}
+    stood, error_m = last[Mode.STATIC].position_cov_ecef_m2, last[Mode.STATIC].position_ecef_m - truth
+    assert last[Mode.STATIC].status is last[Mode.KINEMATIC].status is Status.FIX
+    assert stood.shape == (3, 3)
+    assert error_m @ np.linalg.solve(stood, error_m) / 3.0 < 4.0
+    assert np.trace(stood) < 0.6 * np.trace(last[Mode.KINEMATIC].position_cov_ecef_m2)
+
+
 def combined(forward, backward):
     return list(solutions_of(combine_runs(track_of(forward).table, track_of(backward).table).table))
 

@@ -129,6 +129,29 @@ def test_a_rover_that_stands_keeps_its_fix_over_a_change_of_mode(streams: dict, 
     assert max(steps_m) < 0.02
 
 
+@pytest.mark.parametrize("name", ["age", "integrity"])
+def test_the_mean_of_a_rover_that_stands_goes_on_under_other_options(streams: dict, name: str) -> None:
+    """What changes nothing of its fixes changes no bit of their mean."""
+    run, other = (Run(streams["static"], kinematic(mode=Mode.STATIC)) for _ in range(2))
+    run.play(), other.play()
+    assert not run.session.go_on(options_of(kinematic(mode=Mode.STATIC, **LIVE[name]))).obstacle
+    for one, same in zip(run.play(), other.play(), strict=True):
+        assert one.status is Status.FIX
+        assert one.position_ecef_m.tobytes() == same.position_ecef_m.tobytes()
+        assert one.position_cov_ecef_m2.tobytes() == same.position_cov_ecef_m2.tobytes()
+
+
+def test_a_rover_that_may_have_moved_stands_by_its_next_fixes(streams: dict) -> None:
+    """It was let move between two epochs; in the other run it was not."""
+    run, other = (Run(streams["static"], kinematic(mode=Mode.STATIC)) for _ in range(2))
+    run.play(), other.play()
+    for mode in (Mode.KINEMATIC, Mode.STATIC):
+        run.session.go_on(options_of(kinematic(mode=mode)))
+    one, other_one = run.play(1)[0], other.play(1)[0]
+    assert one.status is other_one.status is Status.FIX
+    assert np.linalg.norm(one.position_ecef_m - other_one.position_ecef_m) > 1e-4
+
+
 def test_a_fixed_position_is_taken_where_the_filter_is_and_nowhere_else(streams: dict) -> None:
     run = Run(streams["static"], kinematic())
     here = run.play()[-1].position_ecef_m

@@ -10,8 +10,10 @@ from rtkmesh.rtk import informed
 from rtkmesh.rtk.ambiguity import held_differences, tell
 from rtkmesh.rtk.bookkeeping import relax
 from rtkmesh.rtk.matching import Pairs
+from rtkmesh.rtk.memory import DOUBTS, INFORMED, SHOWN, new_memory
 from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, DIFFERENCE, ELEVATION_RAD, PHASE, PHASE_VARIANCE, Differences
 from rtkmesh.rtk.state import DYNAMIC, HISTORY, INTEGER, USUAL_M, ZENITH_KEY, Filter
+from rtkmesh.rtk.validation import RELEASE_EPOCHS, note
 
 
 def differences(satellites, seed=0):
@@ -91,6 +93,33 @@ def test_only_satellites_with_integers_strain():
     f = atmosphere([3, 7, 9], [True, True, False])
     f.x[DYNAMIC + 3] = 1.0
     assert informed.strain(f, 30e3) == 0.0
+
+
+def strained(f, strains):
+    """Return, for epochs with these strains in which the witness has no doubt of its own, whether integers are held and in doubt; and what
+    the informed filter is said to have found.
+    """
+    memory, prediction, seen = new_memory(), np.zeros(7), []
+    memory[SHOWN] = 1.0
+    for strain in strains:
+        note(f, False, memory, prediction)
+        informed.note_strain(f, strain, memory, prediction)
+        seen.append((bool(np.isfinite(f.history[:, INTEGER]).any()), memory[DOUBTS] > 0.0 or memory[SHOWN] == 0.0))
+    return seen, memory[INFORMED]
+
+
+@pytest.mark.parametrize("strain", [1.01, np.inf, np.nan])
+def test_what_strains_the_atmosphere_is_hidden_and_released_in_the_end(strain):
+    seen, _ = strained(atmosphere([3, 7, 9], [True] * 3), [0.5, *[strain] * RELEASE_EPOCHS])
+    assert seen == [(True, False), *[(True, True)] * (RELEASE_EPOCHS - 1), (False, True)]
+
+
+def test_what_strains_it_now_and_then_is_held_and_shown_when_it_does_not():
+    strains = ([1.2] * (RELEASE_EPOCHS - 1) + [0.9]) * 5
+    seen, agreed = strained(atmosphere([3, 7, 9], [True] * 3), strains)
+    assert seen == [(True, strain > 1.0) for strain in strains]
+    assert agreed == 0.0
+    assert strained(atmosphere([3, 7, 9], [True] * 3), [1.2, 0.5, 0.6])[1] == 2.0
 
 
 @given(st.floats(0.1, 3.0), st.floats(10.0, 3000.0))

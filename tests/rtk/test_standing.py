@@ -94,7 +94,9 @@ def test_times_may_fall():
 def test_a_covariance_that_is_none_does_no_harm(cov: np.ndarray):
     standing = Standing()
     placed(np.zeros((10, 3)), 0.01, standing=standing)
-    assert standing.place(START + 10.0, BASE, TRUE + EAST, cov)[1] is cov
+    place, told = standing.place(START + 10.0, BASE, TRUE + EAST, cov)
+    assert np.array_equal(place, TRUE + EAST)
+    assert np.array_equal(told, cov, equal_nan=True)
     place, told = standing.place(START + 11.0, BASE, TRUE, 1e-4 * np.eye(3))
     assert place == pytest.approx(TRUE)
     assert np.isfinite(told).all()

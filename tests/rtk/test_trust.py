@@ -12,7 +12,17 @@ from rtkmesh.rtk.memory import ACCEPT_AT_ONCE, GLONASS_VOTES, SLOPE_G1, TRUSTS_G
 from rtkmesh.rtk.options import AmbiguityOptions
 from rtkmesh.rtk.slopes import slope_states
 from rtkmesh.rtk.state import DYNAMIC, INTEGER, Filter
-from rtkmesh.rtk.trust import STEEPEST_M, TOLD_SIGMA_M, TRUSTED_AFTER, found_slopes, learn_glonass, possible, search_wide, tell_slopes
+from rtkmesh.rtk.trust import (
+    STEEPEST_M,
+    TOLD_SIGMA_M,
+    TRUSTED_AFTER,
+    found_slopes,
+    learn_glonass,
+    not_searched,
+    possible,
+    search_wide,
+    tell_slopes,
+)
 
 U_BLOX_TO_LEICA_M = -0.054  # the steepest slope that we have recorded
 
@@ -76,9 +86,10 @@ def test_a_slope_that_no_receivers_have_is_never_found():
         assert possible(f, wide).odds == wide.found.odds
 
 
-def trusted_after(f, everything, held, memory, epochs):
+def trusted_after(f, everything, held, memory, epochs, made=False):
+    """Return whether GLONASS is trusted after some epochs, in which the search of all had been ``made`` or not."""
     for _ in range(epochs):
-        learn_glonass(f, everything, held, memory, SETUP)
+        learn_glonass(f, everything, search_wide(f, everything, SETUP) if made else not_searched(f), held, memory, SETUP)
     return memory[TRUSTS_GLONASS] > 0.0
 
 
@@ -99,18 +110,19 @@ def test_an_epoch_that_does_not_fit_begins_the_count_anew():
     trusted_after(f, everything, held, memory, TRUSTED_AFTER - 1)
     reflected = Filter(f.x.copy(), f.P, f.keys, f.history)
     reflected.x[DYNAMIC + 1 + GPS :] += 0.3 * np.array([1.0, -1.0, 1.0, 1.0, -1.0])
-    learn_glonass(reflected, everything, held, memory, SETUP)
+    learn_glonass(reflected, everything, not_searched(reflected), held, memory, SETUP)
     assert memory[GLONASS_VOTES] == 0.0
     assert not trusted_after(f, everything, held, memory, TRUSTED_AFTER - 1)
 
 
-def test_wrong_integers_of_the_others_are_no_reason_to_trust():
-    """One GPS satellite a cycle off: GLONASS does not fit then."""
+@pytest.mark.parametrize("made", [False, True])
+def test_wrong_integers_of_the_others_are_no_reason_to_trust(made):
+    """One GPS satellite a cycle off: GLONASS does not fit then, by a search that was made before or is now."""
     believed = 0
     for seed in range(20):
         f, everything, held, _ = with_gps_held(np.random.default_rng(seed))
         f.history[held[seed % len(held), 0] - DYNAMIC, INTEGER] += 1.0
-        believed += trusted_after(f, everything, held, new_memory(), TRUSTED_AFTER)
+        believed += trusted_after(f, everything, held, new_memory(), TRUSTED_AFTER, made)
     assert believed == 0
 
 
@@ -119,7 +131,7 @@ def test_once_trusted_the_slope_of_held_integers_is_remembered():
     f.history[GPS + 1 :, INTEGER] = TRUE[GPS:]
     memory = new_memory()
     memory[TRUSTS_GLONASS] = 1.0
-    learn_glonass(f, everything, pairs_of(everything), memory, SETUP)
+    learn_glonass(f, everything, not_searched(f), pairs_of(everything), memory, SETUP)
     assert memory[SLOPE_G1] == pytest.approx(U_BLOX_TO_LEICA_M, abs=0.002)
 
 

@@ -31,6 +31,7 @@ from rtkmesh.models.code_selection import (
 from rtkmesh.models.ephemeris_table import ROW, EphemerisTable, Issues, select_issues
 from rtkmesh.models.geometry import AZIMUTH, ELEVATION, GEOMETRY
 from rtkmesh.models.orbit import STATE, STATE_OK, satellite_states
+from rtkmesh.models.rate_adjustment import adjust_velocity
 from rtkmesh.models.single_adjustment import (
     CHI2,
     CONVERGED,
@@ -41,7 +42,6 @@ from rtkmesh.models.single_adjustment import (
     QUALITY,
     UNKNOWNS,
     adjust_position,
-    adjust_velocity,
 )
 
 Vector = NDArray[np.float64]

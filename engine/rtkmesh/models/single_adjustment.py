@@ -1,7 +1,7 @@
-"""Least squares of single-point positioning: position and clocks from codes, velocity and clock rate from Dopplers, with exclusion.
+"""Least squares of single-point positioning: position and clocks from codes, with exclusion.
 
-All residuals are observed minus modelled. A satellite takes part if USED (codes) or RATE_USED (Dopplers) of the work table is 1;
-WEIGHT is 1 / VARIANCE except while the robust fit reweights. Nothing here depends on the order of satellites beyond rounding.
+All residuals are observed minus modelled. A satellite takes part if USED of the work table is 1; WEIGHT is 1 / VARIANCE except while the
+robust fit reweights. Nothing here depends on the order of satellites beyond rounding. Velocities are those of ``rate_adjustment``.
 """
 
 from math import sin, sqrt
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel_in_place, scratch, scratch_table
-from rtkmesh.gnss.constants import OMEGA_EARTH_GPS_RADPS, SPEED_OF_LIGHT_MPS
+from rtkmesh.gnss.constants import SPEED_OF_LIGHT_MPS
 from rtkmesh.models.code_selection import (
     CLOCKS,
     CODE,
@@ -19,17 +19,14 @@ from rtkmesh.models.code_selection import (
     GROUP,
     IONOSPHERE,
     NOISE,
-    RATE,
-    RATE_RESIDUAL,
-    RATE_USED,
     RESIDUAL,
     USED,
     VARIANCE,
     WEIGHT,
 )
-from rtkmesh.models.geometry import E_X, E_Y, E_Z, ELEVATION, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, line_of_sight, receiver_geometry
+from rtkmesh.models.geometry import E_X, ELEVATION, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, line_of_sight, receiver_geometry
 from rtkmesh.models.normal_matrix import invert_positive_definite
-from rtkmesh.models.orbit import STATE_CLOCK, STATE_CLOCK_RATE, STATE_OK, STATE_VARIANCE
+from rtkmesh.models.orbit import STATE_CLOCK, STATE_OK, STATE_VARIANCE
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -43,9 +40,9 @@ LEAST_SQUARES, LEAST_ABSOLUTE = 0.0, 1.0  # norms of a fit
 
 # Limits of the test of normalised residuals. The scale of all residuals (robust, between 1 and _MOST_SCALE) multiplies it: with the
 # noise of a whole street underestimated no satellite is worse than the others.
-_LIMIT = 4.0
+LIMIT: Final = 4.0
 _MOST_SCALE = 4.0
-_GROSS = 12.0  # without redundancy to say which satellite is wrong, up to here the solution is given with a larger covariance
+GROSS: Final = 12.0  # without redundancy to say which satellite is wrong, up to here the solution is given with a larger covariance
 _BACK = 3.0  # an excluded satellite comes back when its predicted residual is within this many sigmas
 _ORBIT_PART = 0.4**2  # a broadcast accuracy is a bound: the signals of healthy satellites are 0.2 to 0.4 of it off
 _IONOSPHERE_PART = 0.3  # of Klobuchar's delay; its error is a half, but most of that is common to all satellites
@@ -54,7 +51,6 @@ _ITERATIONS = 12
 _ROBUST_ITERATIONS = 25
 _FAR_M = 1000.0  # the atmosphere and the elevations are computed anew when the position moved by more
 _C = SPEED_OF_LIGHT_MPS
-_OMEGA = OMEGA_EARTH_GPS_RADPS
 
 
 @kernel_in_place
@@ -236,7 +232,7 @@ def _is_doubtful(work: Matrix, geometry: Matrix, cofactor: Matrix) -> bool:
     for i in range(work.shape[0]):
         if work[i, USED] != 0.0:
             largest = max(largest, _normalised(work, geometry, cofactor, i))
-    return largest > _LIMIT
+    return largest > LIMIT
 
 
 @kernel_in_place
@@ -255,11 +251,11 @@ def _scaled_worst(work: Matrix, geometry: Matrix, cofactor: Matrix) -> int:
             largest, worst = value, i
     if count == 0:
         return -1
-    return worst if largest > _LIMIT * _scale_of(values[:count]) else -1
+    return worst if largest > LIMIT * scale_of(values[:count]) else -1
 
 
 @kernel_in_place
-def _scale_of(sizes: Vector) -> float:
+def scale_of(sizes: Vector) -> float:
     """Return the robust scale (median of absolute normalised residuals over that of a normal variable) between 1 and _MOST_SCALE."""
     return min(max(1.4826 * _median(sizes), 1.0), _MOST_SCALE)
 
@@ -293,7 +289,7 @@ def _robust_start(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow
             count += 1
     if count == 0:
         return
-    limit = 1.5 * _LIMIT * _scale_of(sizes[:count])
+    limit = 1.5 * LIMIT * scale_of(sizes[:count])
     for i in range(work.shape[0]):
         if work[i, USED] != 0.0 and not abs(work[i, RESIDUAL]) < limit * sqrt(work[i, VARIANCE]):
             work[i, USED] = 0.0
@@ -321,7 +317,7 @@ def _exclude(work: Matrix, states: Matrix, geometry: Matrix, week: int, tow_s: f
         if worst < 0:
             return CONVERGED
         if _freedom(work) < 2:
-            return INCONSISTENT if _normalised(work, geometry, cofactor, worst) > _GROSS else CONVERGED
+            return INCONSISTENT if _normalised(work, geometry, cofactor, worst) > GROSS else CONVERGED
         work[worst, USED] = 0.0
     return NO_CONVERGENCE
 
@@ -382,121 +378,3 @@ def _dilution(work: Matrix, geometry: Matrix) -> float:
     if status != CONVERGED:
         return np.inf
     return sqrt(cofactor[0, 0] + cofactor[1, 1] + cofactor[2, 2])
-
-
-@kernel_in_place
-def adjust_velocity(work: Matrix, states: Matrix, geometry: Matrix, setup: Vector, position: Vector, velocity: Vector,
-                    cofactor: Matrix, quality: Vector) -> int:  # fmt: skip
-    """Find velocity (m/s, ECEF) and receiver clock rate (m/s) in ``velocity`` (4) from range rates, with their covariance (4, 4).
-
-    ``setup`` as for ``adjust_position``, which comes first. The sigma of a range rate is its last (1 + 1 / sin elevation) / 2. Dopplers
-    have their own exclusion (RATE_USED); the covariance is multiplied by the variance of unit weight if that exceeds 1. ``quality`` gets
-    chi-square and degrees of freedom of range rates.
-    """
-    sigma_mps = setup[6]
-    for k in range(4):
-        velocity[k] = 0.0
-    for i in range(work.shape[0]):
-        seen = states[i, STATE_OK] != 0.0 and geometry[i, ELEVATION] >= setup[0]
-        work[i, RATE_USED] = 1.0 if seen and np.isfinite(work[i, RATE]) else 0.0
-    for _ in range(work.shape[0] + 1):
-        used = 0
-        for _pass in range(2):  # the second only serves the product of both velocities
-            _rate_residuals(work, states, geometry, position, velocity)
-            used = _solve_rates(work, geometry, sigma_mps, cofactor, velocity)
-            if used < 0:
-                return FEW_SATELLITES if used == -1 else POOR_GEOMETRY
-        _rate_residuals(work, states, geometry, position, velocity)
-        worst, largest, chi2 = _worst_rate(work, geometry, sigma_mps, cofactor)
-        if worst >= 0 and used > 5:
-            work[worst, RATE_USED] = 0.0
-            continue
-        if worst >= 0 and largest > _GROSS:
-            return INCONSISTENT
-        quality[RATE_CHI2], quality[RATE_FREEDOM] = chi2, used - 4.0
-        if used > 4:
-            scale = max(1.0, chi2 / (used - 4))
-            for a in range(4):
-                for b in range(4):
-                    cofactor[a, b] *= scale
-        return CONVERGED
-    return NO_CONVERGENCE
-
-
-@kernel_in_place
-def _rate_residuals(work: Matrix, states: Matrix, geometry: Matrix, position: Vector, velocity: Vector) -> None:
-    """Write observed minus modelled range rates (m/s): derivative of the range between transmission and reception.
-
-    The satellite's velocity is turned into the frame of reception; a range that shrinks shortens the flight, hence 1 - radial / c.
-    """
-    for i in range(work.shape[0]):
-        if work[i, RATE_USED] == 0.0:
-            continue
-        e_x, e_y, e_z = geometry[i, E_X], geometry[i, E_Y], geometry[i, E_Z]
-        angle = _OMEGA * geometry[i, RANGE] / _C
-        v_x, v_y, v_z = states[i, 3] + angle * states[i, 4], states[i, 4] - angle * states[i, 3], states[i, 5]
-        reach = geometry[i, RANGE]
-        x, y = position[0] + reach * e_x, position[1] + reach * e_y
-        radial = e_x * (v_x - _OMEGA * y) + e_y * (v_y + _OMEGA * x) + e_z * v_z
-        rate = e_x * (v_x - velocity[0]) + e_y * (v_y - velocity[1]) + e_z * (v_z - velocity[2])
-        modelled = rate * (1.0 - radial / _C) - _C * states[i, STATE_CLOCK_RATE] + velocity[3]
-        work[i, RATE_RESIDUAL] = work[i, RATE] - modelled
-
-
-@kernel_in_place
-def _rate_variance(geometry: Matrix, sigma_mps: float, i: int) -> float:
-    return (0.5 * sigma_mps * (1.0 + 1.0 / max(sin(geometry[i, ELEVATION]), 0.05))) ** 2
-
-
-@kernel_in_place
-def _solve_rates(work: Matrix, geometry: Matrix, sigma_mps: float, cofactor: Matrix, velocity: Vector) -> int:
-    """Add the solution of the range rates to ``velocity``; return how many were used, -1 if too few, -2 if singular."""
-    normal, right, h = scratch_table(4, 4), scratch(4), scratch(4)
-    normal[:, :], right[:], h[3] = 0.0, 0.0, 1.0
-    used = 0
-    for i in range(work.shape[0]):
-        if work[i, RATE_USED] == 0.0:
-            continue
-        used += 1
-        weight = 1.0 / _rate_variance(geometry, sigma_mps, i)
-        for a in range(3):
-            h[a] = -geometry[i, E_X + a]
-        for a in range(4):
-            right[a] += weight * h[a] * work[i, RATE_RESIDUAL]
-            for b in range(a + 1):
-                normal[a, b] += weight * h[a] * h[b]
-    if used < 4:
-        return -1
-    if not invert_positive_definite(normal, cofactor):
-        return -2
-    for a in range(4):
-        for b in range(4):
-            velocity[a] += cofactor[a, b] * right[b]
-    return used
-
-
-@kernel_in_place
-def _worst_rate(work: Matrix, geometry: Matrix, sigma_mps: float, cofactor: Matrix) -> tuple[int, float, float]:
-    """Return the satellite with the largest normalised range-rate residual if beyond the limit (else -1), that value, and chi-square."""
-    count, worst, largest, chi2 = 0, -1, 0.0, 0.0
-    values, h = scratch(work.shape[0]), scratch(4)
-    h[3] = 1.0
-    for i in range(work.shape[0]):
-        if work[i, RATE_USED] == 0.0:
-            continue
-        for a in range(3):
-            h[a] = -geometry[i, E_X + a]
-        variance = _rate_variance(geometry, sigma_mps, i)
-        chi2 += work[i, RATE_RESIDUAL] ** 2 / variance
-        free = variance
-        for a in range(4):
-            for b in range(4):
-                free -= h[a] * h[b] * cofactor[a, b]
-        value = abs(work[i, RATE_RESIDUAL]) / sqrt(free) if free > 1e-6 * variance else 0.0
-        values[count] = value
-        count += 1
-        if value > largest:
-            largest, worst = value, i
-    if count == 0 or largest <= _LIMIT * _scale_of(values[:count]):
-        return -1, largest, chi2
-    return worst, largest, chi2

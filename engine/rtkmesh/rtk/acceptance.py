@@ -32,7 +32,7 @@ from rtkmesh.rtk.memory import (
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.slopes import slope_states, without_slopes
 from rtkmesh.rtk.state import ARC_S, DYNAMIC, INTEGER, STREAK, Filter
-from rtkmesh.rtk.trust import possible, search_wide, tell_slopes
+from rtkmesh.rtk.trust import Wide, possible, search_wide, tell_slopes
 from rtkmesh.rtk.witness import LEAST, others_of
 
 Vector = NDArray[np.float64]
@@ -71,9 +71,9 @@ SUBSETS: Final = 13  # with five systems: who looks so often finds odds by chanc
 
 class Question(NamedTuple):
     """What an epoch asks in which no integers are held: the filter, and the one that knows a prediction, where that ``helped``; candidates
-    without those of GLONASS that are not trusted, and ``everything``; the log odds from which one search is believed (``asked_odds``),
-    those of the ``free`` search, and those that ``scant`` integers must have in any case; ``reflected``: codes are worse than those of
-    patches in the open.
+    without those of GLONASS that are not trusted, and ``everything``, with the search of all of it, if that was made (``wide``); the log
+    odds from which one search is believed (``asked_odds``), those of the ``free`` search, and those that ``scant`` integers must have in
+    any case; ``reflected``: codes are worse than those of patches in the open.
     """
 
     f: Filter
@@ -81,6 +81,7 @@ class Question(NamedTuple):
     helped: bool
     candidates: Candidates
     everything: Candidates
+    wide: Wide
     free: Search
     asked: float
     asked_of_free: float
@@ -144,7 +145,7 @@ def _looked_for(q: Question, space: float, far2: float, setup: ResolveSetup, tim
 @kernel
 def _with_glonass(q: Question, answer: Answer, setup: ResolveSetup) -> Answer:
     """Return the search of all, GLONASS too, if its odds are better: with an open slope, or without one where the other bears it out."""
-    flat, wide = without_slopes(q.f), search_wide(q.f, q.everything, setup)
+    flat, wide = without_slopes(q.f), q.wide if len(q.wide.norms) > 0 else search_wide(q.f, q.everything, setup)
     straight = search_all(flat, q.everything, setup)
     slopeless = straight.odds > wide.found.odds and bears_out(q.f, wide.found, straight)
     found = straight if slopeless else possible(q.f, wide)

@@ -26,6 +26,7 @@ from rtkmesh.rtk.acceptance import FAR_M
 from rtkmesh.rtk.around import Around, Past, at_instant_of
 from rtkmesh.rtk.asked_odds import DOUBLED_M
 from rtkmesh.rtk.bookkeeping import Motion
+from rtkmesh.rtk.calm import is_atmospheric
 from rtkmesh.rtk.candidates import CandidateTable, candidate_table
 from rtkmesh.rtk.complements import BaseEpochs, complemented
 from rtkmesh.rtk.continuation import Continuation, carry_on, keeps_integers, obstacle
@@ -143,7 +144,8 @@ class Rtk:
             return Continuation(why)
         moved = self._moves
         self.options = options
-        self._standing.forget()
+        if options.mode is not now.mode:
+            self._standing.forget()
         self._use(setup_of(options)._replace(antennas=self._setup.antennas))
         self._motion, self._point = _motion_of(options), self._point_setup(self._klobuchar)
         self._keeps_baseline = self._keeps_baseline or now.mode is Mode.MOVING_BASE is not options.mode
@@ -160,10 +162,10 @@ class Rtk:
 
         ``length`` (m) of the baseline and its sigma, where somebody else than these options knows it: it ranks them, and fixes nothing.
         """
-        if self._state is None or self._state.place is None or self._satellites is None or self.options.ambiguity.mode is AmbiguityMode.OFF:
+        state = self._state
+        if state is None or self._satellites is None or self.options.ambiguity.mode is AmbiguityMode.OFF:
             return None
-        f, place = self._state.filter, self._state.place
-        return candidate_table(f, place, self._satellites, self._past.memory, self._past.scale, self._setup, length)
+        return candidate_table(state.filter, state.place, self._satellites, self._past.memory, self._past.scale, self._setup, length)
 
     def reset(self) -> None:
         """Forget the filter; what was learned of the code's noise stays."""
@@ -339,9 +341,8 @@ class Rtk:
 
     def _stood(self, solved: Solved, around: Around) -> Solved:
         """Return a fix of a rover that stands, placed by all fixes since it does."""
-        place_m, cov_m2 = self._standing.place(around.rover.time, around.base_ecef_m, solved.x[:3].copy(), solved.position_cov_m2[:3, :3])
         x = solved.x.copy()
-        x[:3] = place_m
+        x[:3], cov_m2 = self._standing.place(around.rover.time, around.base_ecef_m, x[:3], solved.position_cov_m2[:3, :3])
         return solved._replace(x=x, position_cov_m2=cov_m2)
 
     def _followed(self, around: Around, solved: Solved, circumstances: Circumstances) -> Moved:
@@ -414,7 +415,9 @@ class Rtk:
             x, P = state.filter.x, state.filter.P
             return Solved(ASTRAY, state.filter, informed, x, P, np.zeros(FIGURES), np.zeros((0, 0)), _UNKNOWN, (x, P))
         model_ecef_m = state.rover_ecef_m
-        solved = solve(state.filter, informed, self._combined(state, around), known, self._setup)
+        d = self._combined(state, around)
+        atmospheric = is_atmospheric(length_m(state.filter.x[:3]), d.pairs.satellite)
+        solved = solve(state.filter, informed, d, atmospheric, known, self._setup)
         if solved.status == SOLVED:
             state.rover_model_ecef_m[:] = model_ecef_m
         return solved
@@ -445,7 +448,7 @@ class Rtk:
             differences_of(
                 state.filter, around.rover.signals, part.signals, around.singles[0], around.issues.channel, self._point.klobuchar,
                 state.base_ecef_m, np.array((state.time_s, self._clock_s(state, part.time))), self._setup,
-            )
+            )[0]
             for part in around.bases
         )  # fmt: skip
         return reduce(combine, made)

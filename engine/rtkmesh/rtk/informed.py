@@ -22,7 +22,7 @@ from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, PHASE, Differences
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, ZENITH_KEY, Filter, is_ionosphere, place_of
 from rtkmesh.rtk.update import update
-from rtkmesh.rtk.validation import Resolution, fix, note
+from rtkmesh.rtk.validation import RELEASE_EPOCHS, Resolution, fix, let_go, note
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -94,10 +94,23 @@ def settle(
     norm, told = norm_of(witness, held, held_differences(witness, held)), inform(informed, witness, d, motion, use)
     if len(told.held) < 4:
         return Settled(fix(by_itself(witness, held), free, memory, setup, prediction, time_s, level), told.filter, norm)
-    memory[INFORMED] = memory[INFORMED] + 1.0 if told.strain <= STRAIN_SURE else 0.0
-    if told.strain > 1.0:
-        note(witness, True, memory, prediction)
+    note_strain(witness, told.strain, memory, prediction)
     return Settled(fix(by_itself(told.filter, told.held), free, memory, setup, prediction, time_s, level), told.filter, norm)
+
+
+@kernel_in_place
+def note_strain(witness: Filter, strain: float, memory: Vector, prediction: Vector) -> None:
+    """Count the epochs in a row in which the atmosphere agrees with what is held, or (below 0) is strained too far; release what it strains
+    for as many as doubts may last.
+
+    A strained epoch is a doubt, so that nothing is shown; but the witness takes back a doubt in each epoch in which it has none of its own.
+    """
+    agrees, strained = strain <= STRAIN_SURE, not strain <= 1.0
+    memory[INFORMED] = max(memory[INFORMED], 0.0) + 1.0 if agrees else (min(memory[INFORMED], 0.0) - 1.0 if strained else 0.0)
+    if strained:
+        note(witness, True, memory, prediction)
+    if memory[INFORMED] <= -RELEASE_EPOCHS:
+        let_go(witness, memory, prediction)
 
 
 @kernel

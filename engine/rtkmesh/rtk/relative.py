@@ -186,24 +186,27 @@ def solve_pair(
     known: Known, setup: Setup,
 ) -> Solved:  # fmt: skip
     """Return the relative solution of a rover epoch, ``located`` by its single point, and a base epoch; both are matched here."""
-    d = differences_of(f, rover, base, located, channel, klobuchar, known.base_ecef_m, known.times_s, setup)
-    return solve(f, informed, d, known, setup)
+    d, atmospheric = differences_of(f, rover, base, located, channel, klobuchar, known.base_ecef_m, known.times_s, setup)
+    return solve(f, informed, d, atmospheric, known, setup)
 
 
 @kernel
 def differences_of(
     f: Filter, rover: Signals, base: Signals, located: Located, channel: NDArray[np.int8], klobuchar: Vector, base_ecef_m: Vector,
     times_s: Vector, setup: Setup,
-) -> Differences:  # fmt: skip
-    """Return the single differences of the signals that both epochs have; the first two of ``times_s`` are theirs."""
+) -> tuple[Differences, bool]:  # fmt: skip
+    """Return the single differences of the signals that both epochs have, and whether the atmosphere is a state over them; the first two of
+    ``times_s`` are theirs.
+    """
     length_m = sqrt(f.x[0] ** 2 + f.x[1] ** 2 + f.x[2] ** 2)
     pairs = match(rover, base, setup.rules)
-    given = conditions(setup, length_m, is_atmospheric(length_m, pairs.satellite), times_s[0] - times_s[1], times_s[1])
+    atmospheric = is_atmospheric(length_m, pairs.satellite)
+    given = conditions(setup, length_m, atmospheric, times_s[0] - times_s[1], times_s[1])
     rover_ecef_m = base_ecef_m + f.x[:3]
     if length_m > TIDE_BASELINE_M:
         tide_m = solid_tides(rover.week, rover.tow_s, rover_ecef_m, base_ecef_m)
         rover_ecef_m, base_ecef_m = rover_ecef_m + tide_m[0], base_ecef_m + tide_m[1]
-    return observe(rover, base, pairs, located, channel, klobuchar, rover_ecef_m, base_ecef_m, given)
+    return observe(rover, base, pairs, located, channel, klobuchar, rover_ecef_m, base_ecef_m, given), atmospheric
 
 
 @kernel
@@ -213,8 +216,8 @@ def unsolved(status: int, f: Filter, informed: Filter) -> Solved:
 
 
 @kernel
-def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup: Setup) -> Solved:
-    """Return the relative solution of single differences: the steps of an epoch."""
+def solve(before: Filter, informed: Filter, d: Differences, atmospheric: bool, known: Known, setup: Setup) -> Solved:
+    """Return the relative solution of single differences: the steps of an epoch. ``atmospheric``: the atmosphere is a state."""
     time_s, step_s, model_ecef_m = known.times_s[0], known.times_s[0] - known.times_s[2], known.base_ecef_m + before.x[:3]
     coded = scratch_flags(len(d.table))
     for k in range(len(coded)):
@@ -222,7 +225,6 @@ def solve(before: Filter, informed: Filter, d: Differences, known: Known, setup:
     if distinct(d.pairs.satellite, coded) < 4:
         return unsolved(FEW_COMMON, before, informed)
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
-    atmospheric = is_atmospheric(length_m, d.pairs.satellite)
     far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
     atmosphere, walks = (2 if far else 3) if atmospheric else 0, walks_of(setup, length_m, known.memory)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)

@@ -13,7 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtkmesh._jit import kernel_in_place, scratch, scratch_table
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh.models.normal_matrix import invert_positive_definite
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -25,6 +27,12 @@ FIRST_S: Final = 1.0  # time that the first fix is for
 LIMIT: Final = 25.0  # squared normalised distance (3 degrees of freedom) from which a fix is of another place
 STRAYS: Final = 3  # fixes in a row of another place, after which the rover stands there
 
+# What a mean is made of: the place of its first fix (m, ECEF, rover minus base), where the others are from there, each times its weight
+# (seconds over covariance), the sum of the weights (3 x 3), the seconds; fixes in a row of another place, and where the base is (m, ECEF),
+# NaN where there is no mean.
+_ORIGIN_M, _SUMS, _WEIGHTS, _SECONDS, _STRAYS, _BASE_ECEF_M = 0, 3, 6, 15, 16, 17
+_MEAN: Final = 20
+
 
 class Standing:
     """The mean of the fixes of a rover that stands. Mutable; places are rover minus base (m, ECEF)."""
@@ -35,43 +43,100 @@ class Standing:
     def forget(self) -> None:
         """Begin anew with the next fix."""
         self._time: GpsTime | None = None
-        self._base_ecef_m, self._origin_m, self._sums = np.full(3, np.nan), np.zeros(3), np.zeros(3)
-        self._information, self._seconds, self._strays = np.zeros((3, 3)), 0.0, 0
+        self._mean = np.full(_MEAN, np.nan)
 
     def place(self, time: GpsTime, base_ecef_m: Vector, baseline_m: Vector, cov_m2: Matrix) -> tuple[Vector, Matrix]:
         """Return where the rover is from the base, and the covariance (m, ECEF), by a fix that is there and all before it.
 
         Times rise or fall all the time. A fix of another place counts by itself; if more follow, the rover is taken to stand there. Where
-        the base's position changes the mean begins anew. A covariance that is none is returned, and the fix forgotten.
+        the base's position changes the mean begins anew. A fix whose covariance is none is returned as it is, and forgotten.
         """
-        if not np.isfinite(cov_m2).all() or not np.linalg.det(cov_m2) > 0.0:
-            return baseline_m, cov_m2
-        if self._time is None or not np.array_equal(base_ecef_m, self._base_ecef_m):
-            return self._begin(time, base_ecef_m, baseline_m, cov_m2)
-        mean_m, mean_cov_m2 = self._mean()
-        apart_m = baseline_m - mean_m
-        if apart_m @ np.linalg.solve(mean_cov_m2 + cov_m2, apart_m) > LIMIT:
-            self._strays += 1
-            return self._begin(time, base_ecef_m, baseline_m, cov_m2) if self._strays >= STRAYS else (baseline_m, cov_m2)
-        self._take(min(abs(time - self._time), LONGEST_S), baseline_m, cov_m2)
-        self._time, self._strays = time, 0
-        return self._mean()
+        seconds = 0.0 if self._time is None else min(abs(time - self._time), LONGEST_S)
+        place_m, place_cov_m2 = baseline_m.copy(), cov_m2.copy()
+        if average(self._mean, base_ecef_m, seconds, place_m, place_cov_m2):
+            self._time = time
+        return place_m, place_cov_m2
 
-    def _begin(self, time: GpsTime, base_ecef_m: Vector, baseline_m: Vector, cov_m2: Matrix) -> tuple[Vector, Matrix]:
-        self.forget()
-        self._time, self._base_ecef_m, self._origin_m = time, base_ecef_m.copy(), baseline_m.copy()
-        self._take(FIRST_S, baseline_m, cov_m2)
-        return baseline_m, cov_m2
 
-    def _take(self, seconds: float, baseline_m: Vector, cov_m2: Matrix) -> None:
-        """Let a fix count for so long."""
-        weight = seconds * np.linalg.inv(cov_m2)
-        self._information += weight
-        self._sums += weight @ (baseline_m - self._origin_m)
-        self._seconds += seconds
+@kernel_in_place
+def average(mean: Vector, base_ecef_m: Vector, seconds: float, place_m: Vector, cov_m2: Matrix) -> bool:
+    """Take a fix into a mean, and write the place and the covariance that this has then over its own; return whether it was taken.
 
-    def _mean(self) -> tuple[Vector, Matrix]:
-        """Return the mean place and its covariance."""
-        inverse = np.linalg.inv(self._information)
-        factor = LASTING + (1.0 - LASTING) / (1.0 + self._seconds / (2.0 * LASTS_S))
-        return self._origin_m + inverse @ self._sums, 0.5 * factor * self._seconds * (inverse + inverse.T)
+    Nothing is written over a fix that begins a mean, nor over one that is not taken.
+    """
+    weight, there_m, sum_m2 = scratch_table(3, 3), scratch(3), scratch_table(3, 3)
+    if not invert_positive_definite(cov_m2, weight):
+        return False
+    if not _has_base(mean, base_ecef_m):
+        _begin(mean, base_ecef_m, place_m, weight)
+        return True
+    _write_mean(mean, there_m, sum_m2)
+    for i in range(3):
+        for j in range(3):
+            sum_m2[i, j] += cov_m2[i, j]
+    if _distance(place_m, there_m, sum_m2) > LIMIT:
+        mean[_STRAYS] += 1.0
+        begins = mean[_STRAYS] >= STRAYS
+        if begins:
+            _begin(mean, base_ecef_m, place_m, weight)
+        return bool(begins)
+    _take(mean, seconds, place_m, weight)
+    _write_mean(mean, place_m, cov_m2)
+    return True
+
+
+@kernel_in_place
+def _has_base(mean: Vector, base_ecef_m: Vector) -> bool:
+    """Return whether there is a mean, and it is from this base."""
+    same = True
+    for i in range(3):
+        same = same and mean[_BASE_ECEF_M + i] == base_ecef_m[i]
+    return same
+
+
+@kernel_in_place
+def _begin(mean: Vector, base_ecef_m: Vector, place_m: Vector, weight: Matrix) -> None:
+    """Let the mean be that of one fix."""
+    mean[:] = 0.0
+    for i in range(3):
+        mean[_ORIGIN_M + i], mean[_BASE_ECEF_M + i] = place_m[i], base_ecef_m[i]
+    _take(mean, FIRST_S, place_m, weight)
+
+
+@kernel_in_place
+def _take(mean: Vector, seconds: float, place_m: Vector, weight: Matrix) -> None:
+    """Let a fix count for so long; ``weight`` is the inverse of its covariance."""
+    mean[_SECONDS] += seconds
+    mean[_STRAYS] = 0.0
+    for i in range(3):
+        for j in range(3):
+            mean[_WEIGHTS + 3 * i + j] += seconds * weight[i, j]
+            mean[_SUMS + i] += seconds * weight[i, j] * (place_m[j] - mean[_ORIGIN_M + j])
+
+
+@kernel_in_place
+def _write_mean(mean: Vector, place_m: Vector, cov_m2: Matrix) -> None:
+    """Write the mean place and its covariance."""
+    weights, inverse, seconds = scratch_table(3, 3), scratch_table(3, 3), mean[_SECONDS]
+    for i in range(3):
+        for j in range(3):
+            weights[i, j] = mean[_WEIGHTS + 3 * i + j]
+    invert_positive_definite(weights, inverse)
+    factor = seconds * (LASTING + (1.0 - LASTING) / (1.0 + seconds / (2.0 * LASTS_S)))
+    for i in range(3):
+        off_m = 0.0
+        for j in range(3):
+            cov_m2[i, j] = factor * inverse[i, j]
+            off_m += inverse[i, j] * mean[_SUMS + j]
+        place_m[i] = mean[_ORIGIN_M + i] + off_m
+
+
+@kernel_in_place
+def _distance(place_m: Vector, other_m: Vector, cov_m2: Matrix) -> float:
+    """Return the squared distance of two places in sigmas of this covariance of their difference."""
+    weight, squares = scratch_table(3, 3), 0.0
+    invert_positive_definite(cov_m2, weight)
+    for i in range(3):
+        for j in range(3):
+            squares += (place_m[i] - other_m[i]) * weight[i, j] * (place_m[j] - other_m[j])
+    return squares

@@ -135,7 +135,7 @@ class FilterState:
     origin: GpsTime
     filter: Filter = field(default_factory=new_filter)
     informed: Filter = field(default_factory=new_filter)
-    place: tuple[Vector, Matrix] | None = None
+    place: tuple[Vector, Matrix] = field(default_factory=lambda: new_filter()[:2])
     time_s: float = 0.0
     base_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))
     rover_model_ecef_m: Vector = field(default_factory=lambda: np.full(3, np.nan))

@@ -22,6 +22,7 @@ from rtkmesh.rtk.ambiguity import (
     condition,
     found_best,
     held_differences,
+    nothing_found,
     pack_pairs,
     pairs_of,
     search,
@@ -64,9 +65,9 @@ class Wide(NamedTuple):
 
 
 @kernel
-def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vector, setup: ResolveSetup) -> None:
+def learn_glonass(f: Filter, everything: Candidates, wide: Wide, held: Indices, memory: Vector, setup: ResolveSetup) -> None:
     """Trust GLONASS integers once what is held has determined them, and has not been contradicted by both together, for some epochs;
-    remember the slopes.
+    remember the slopes. ``wide`` is the search of all, if it has been made.
     """
     own, count = scratch_flags(len(everything.satellite)), 0
     for k in range(len(own)):
@@ -79,7 +80,7 @@ def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vect
         learn_slopes(f, held, memory)
         return
     slopes_m, odds = found_slopes(f, pairs_of(take(everything, own)), states, held)
-    if odds < setup.confidence * ACCEPT_AT_ONCE or _contradicted(f, everything, setup):
+    if odds < setup.confidence * ACCEPT_AT_ONCE or _contradicted(f, everything, wide, setup):
         memory[GLONASS_VOTES] = 0.0
         return
     memory[GLONASS_VOTES] += 1.0
@@ -89,10 +90,10 @@ def learn_glonass(f: Filter, everything: Candidates, held: Indices, memory: Vect
 
 
 @kernel
-def _contradicted(f: Filter, everything: Candidates, setup: ResolveSetup) -> bool:
+def _contradicted(f: Filter, everything: Candidates, wide: Wide, setup: ResolveSetup) -> bool:
     """Return whether the best integers of all are others than those that are held."""
-    wide = search(f, everything, setup.length_m, setup.length_sigma_m)
-    return not wide.resolved or compare_integers(f.keys, f.history[:, INTEGER].copy(), f.keys, wide.values)[1] > 0
+    best = wide.found if len(wide.norms) > 0 else search(f, everything, setup.length_m, setup.length_sigma_m)
+    return not best.resolved or compare_integers(f.keys, f.history[:, INTEGER].copy(), f.keys, best.values)[1] > 0
 
 
 @kernel
@@ -146,6 +147,12 @@ def search_wide(f: Filter, everything: Candidates, setup: ResolveSetup) -> Wide:
         if status == OK:
             return Wide(found_best(f, pairs, fixed, norms, success), fixed, norms)
     return Wide(search(f, everything, setup.length_m, setup.length_sigma_m), np.zeros((0, 0)), np.zeros(0))
+
+
+@kernel
+def not_searched(f: Filter) -> Wide:
+    """Return what there is of a search of all ambiguities that has not been made."""
+    return Wide(nothing_found(f, np.zeros((0, 2), np.int64), 0.0), np.zeros((0, 0)), np.zeros(0))
 
 
 @kernel

@@ -60,8 +60,8 @@ from rtkmesh.rtk.predicted import WEAK_M, carry, departure, learn_fix, with_pred
 from rtkmesh.rtk.redundancy import are_bare
 from rtkmesh.rtk.solution import Reason
 from rtkmesh.rtk.state import DYNAMIC, Filter
-from rtkmesh.rtk.trust import learn_glonass
-from rtkmesh.rtk.witness import witnessed
+from rtkmesh.rtk.trust import Wide, learn_glonass, not_searched, search_wide
+from rtkmesh.rtk.witness import has_witness, witnessed
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -130,7 +130,7 @@ def decide(
     the phase put the baseline (m, ECEF) and its sigma, NaN without; ``level`` the variance factor of the codes (``asked_odds``).
     """
     candidates, held = _trusted(everything, memory), pairs_of(held_among(f, everything))
-    free, told = _searched(f, everything, candidates, len(held), memory, setup, level)
+    free, told, wide = _searched(f, everything, candidates, len(held), memory, setup, level)
     asked, asked_of_told = asked_odds(level, False, f.x), asked_odds(level, told.odds > free.odds, f.x)
     free = told
     if len(held) >= 3:
@@ -145,12 +145,12 @@ def decide(
     aided = with_prediction(f, prediction) if helped else f
     if len(held) < 3:
         question = Question(
-            f, aided, helped, candidates, everything, free, asked, asked_of_told, asked_of_scant(level), is_reflected(level)
+            f, aided, helped, candidates, everything, wide, free, asked, asked_of_told, asked_of_scant(level), is_reflected(level)
         )
         try_new(question, memory, setup, time_s)
     else:
         join(f, aided, candidates, held, JOIN_FIT_STREET if is_street(level) else NORM_LIMIT, not _is_far(f))
-        learn_glonass(f, everything, held, memory, setup)
+        learn_glonass(f, everything, wide, held, memory, setup)
     return free
 
 
@@ -172,12 +172,16 @@ def _trusted(everything: Candidates, memory: Vector) -> Candidates:
 @kernel
 def _searched(
     f: Filter, everything: Candidates, candidates: Candidates, held: int, memory: Vector, setup: ResolveSetup, level: float
-) -> tuple[Search, Search]:
-    """Return the free search, and what GLONASS makes of it where codes are good enough for a witness."""
+) -> tuple[Search, Search, Wide]:
+    """Return the free search, and what GLONASS makes of it where codes are good enough for a witness, with the search of all by which it
+    does.
+    """
     free = _free_search(f, candidates, held, memory, setup)
-    if level <= FAIR_CODES and len(candidates.row) < len(everything.row):
-        return free, _surer(f, everything, free, held, setup)
-    return free, free
+    unclear = free.resolved and free.odds < setup.confidence * ACCEPT_AT_ONCE
+    if unclear and level <= FAIR_CODES and len(candidates.row) < len(everything.row) and has_witness(f, everything):
+        wide = search_wide(f, everything, setup)
+        return free, _surer(f, witnessed(f, wide), free, held), wide
+    return free, free, not_searched(f)
 
 
 @kernel
@@ -198,11 +202,8 @@ def _free_search(f: Filter, candidates: Candidates, held: int, memory: Vector, s
 
 
 @kernel
-def _surer(f: Filter, everything: Candidates, free: Search, held: int, setup: ResolveSetup) -> Search:
+def _surer(f: Filter, told: Search, free: Search, held: int) -> Search:
     """Return what GLONASS makes of a search that is not clear: other integers only where none are held, else surer odds of the same."""
-    if not free.resolved or free.odds >= setup.confidence * ACCEPT_AT_ONCE:
-        return free
-    told = witnessed(f, everything)
     same = held < 3 or compare_integers(f.keys, free.values, f.keys, told.values)[1] == 0
     return told if told.odds > free.odds and same else free
 
@@ -241,10 +242,16 @@ def note(f: Filter, doubt: bool, memory: Vector, prediction: Vector) -> None:
     """Count doubts in a row; release what is held when they last, and forget where it put the rover."""
     memory[DOUBTS] = memory[DOUBTS] + 1.0 if doubt else max(memory[DOUBTS] - 1.0, 0.0)
     if memory[DOUBTS] >= RELEASE_EPOCHS:
-        release(f)
-        prediction[:4] = np.nan
-        memory[DOUBTS], memory[STREAK_EPOCHS], memory[SHOWN] = 0.0, 0.0, 0.0
-        memory[TRUSTS_GLONASS], memory[GLONASS_VOTES] = 0.0, 0.0
+        let_go(f, memory, prediction)
+
+
+@kernel_in_place
+def let_go(f: Filter, memory: Vector, prediction: Vector) -> None:
+    """Release what is held and forget where it put the rover; integers are looked for anew from the next epoch on."""
+    release(f)
+    prediction[:4] = np.nan
+    memory[DOUBTS], memory[STREAK_EPOCHS], memory[SHOWN] = 0.0, 0.0, 0.0
+    memory[TRUSTS_GLONASS], memory[GLONASS_VOTES] = 0.0, 0.0
 
 
 @kernel

@@ -13,6 +13,7 @@ from rtkmesh.gnss.signals import GPS, SATELLITES_PER_SYSTEM
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.rtk.session import EndOfStream, Session, SessionOptions, Source, pairing_for
+from rtkmesh.rtk.standing import Standing
 from rtkmesh.simulation.scenario import open_stream
 from rtkmesh.simulation.sky import KLOBUCHAR
 from rtkmesh_services.mapping.solution import model_zenith_m
@@ -29,6 +30,7 @@ def warm_engine() -> None:
     solve(Mode.KINEMATIC, rover, in_parts(base))
     solve(Mode.MOVING_BASE, heading, rover)
     model_zenith_m(np.array((6.4e6, 0.0, 0.0)))
+    Standing().place(START, np.array((6.4e6, 0.0, 0.0)), np.zeros(3), np.eye(3))
 
 
 def simulated_messages(antenna: str) -> list[Message]:
