@@ -102,8 +102,8 @@ def measure(name: str, seed: int, run: int, rates: Rates = ONE_HZ) -> Outcome:
     return outcome(name, run, judge(simulated, solve(simulated)), rates.rover_hz)
 
 
-def outcome(name: str, run: int, judged: Judged, rate_hz: int = 1) -> Outcome:
-    """Return the figures of a judged run."""
+def outcome(name: str, run: int, judged: Judged, rate_hz: float = 1.0) -> Outcome:
+    """Return the figures of a judged run; ``rate_hz``: so many epochs are one of the unit that times are told in."""
     counted = judged.possible
     fixed, wrong = judged.fixed & counted, judged.wrong & counted
     right = np.flatnonzero(fixed & ~wrong)
@@ -265,6 +265,11 @@ def trace_of(title: str, simulated: Simulated) -> Iterator[str]:
         signal = "all signals" if d.signal is None else signal_code(d.signal)
         about = f"code {d.code_m:+.1f} m {d.code_rate_mps:+.2f} m/s, phase {d.phase_cyc:+.0f} cycles"
         yield f"fault of the {side} from epoch {d.start_s - absolute_s(tag):.0f}: {satellite_id(d.satellite)} {signal}, {about}"
+    yield from lines_of(solutions, judged)
+
+
+def lines_of(solutions: Sequence[Solution | None], judged: Judged) -> Iterator[str]:
+    """Yield a line per epoch of judged solutions, under their titles."""
     yield "epoch status reason               error E, N, U m               sigma 3D m   sq/3  ratio grade fixed/amb sats age s"
     for k, solution in enumerate(solutions):
         mark = " WRONG" if judged.wrong[k] else ""

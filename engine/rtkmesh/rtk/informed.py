@@ -35,7 +35,7 @@ NORM_LIMIT: Final = 3.0  # squared norm per integer that is told
 _ZENITH_M: Final = 0.016
 _IONOSPHERES: Final = (2e-6, 0.008)
 STRAIN_SURE: Final = 0.6  # below it the atmosphere agrees with the integers (``integrity``)
-_GLONASS_CODE_M: Final = 10.0  # its codes are shifted by channel between makes, which an ionosphere would take for its own
+GLONASS_CODE_M: Final = 10.0  # its codes are shifted by channel between makes, which an ionosphere would take for its own
 _TOLD_CYC2: Final = 0.01**2  # variance of an integer that is told
 _START_M: Final = 0.5  # sigma of each coordinate that a new filter adds to the witness's, which does not know of the atmosphere
 
@@ -139,7 +139,7 @@ def with_states(d: Differences, shift_ecef_m: Vector) -> Differences:
         table[k, CODE] += nearer_m
         table[k, PHASE] += nearer_m
         if d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
-            table[k, CODE_VARIANCE] += _GLONASS_CODE_M**2
+            table[k, CODE_VARIANCE] += GLONASS_CODE_M**2
     return Differences(d.pairs, table, d.rover_direction, d.base_direction, d.azimuth_rad, d.flagged, d.half_cycle, d.lock_s, d.base_s)
 
 
