@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtkmesh._jit import kernel, kernel_in_place
-from rtkmesh.gnss.signals import GLONASS, KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
+from rtkmesh.gnss.signals import KEYS_PER_SATELLITE, SATELLITES_PER_SYSTEM, SYSTEMS
 from rtkmesh.rtk.ambiguity import Candidates, Search, held_among, held_differences, norm_of, pairs_of, tell
 from rtkmesh.rtk.bookkeeping import Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.memory import HELD_SINCE_S, INFORMED, ResolveSetup
 from rtkmesh.rtk.placing import by_itself
-from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, PHASE, Differences
+from rtkmesh.rtk.residuals import CODE, PHASE, Differences
 from rtkmesh.rtk.slips import SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, FIRST_PAIR_KEY, HISTORY, INTEGER, ZENITH_KEY, Filter, is_ionosphere, place_of
 from rtkmesh.rtk.update import update
@@ -35,7 +35,6 @@ NORM_LIMIT: Final = 3.0  # squared norm per integer that is told
 _ZENITH_M: Final = 0.016
 _IONOSPHERES: Final = (2e-6, 0.008)
 STRAIN_SURE: Final = 0.6  # below it the atmosphere agrees with the integers (``integrity``)
-GLONASS_CODE_M: Final = 10.0  # its codes are shifted by channel between makes, which an ionosphere would take for its own
 _TOLD_CYC2: Final = 0.01**2  # variance of an integer that is told
 _START_M: Final = 0.5  # sigma of each coordinate that a new filter adds to the witness's, which does not know of the atmosphere
 
@@ -138,8 +137,6 @@ def with_states(d: Differences, shift_ecef_m: Vector) -> Differences:
             nearer_m += d.rover_direction[k, i] * shift_ecef_m[i]
         table[k, CODE] += nearer_m
         table[k, PHASE] += nearer_m
-        if d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
-            table[k, CODE_VARIANCE] += GLONASS_CODE_M**2
     return Differences(d.pairs, table, d.rover_direction, d.base_direction, d.azimuth_rad, d.flagged, d.half_cycle, d.lock_s, d.base_s)
 
 

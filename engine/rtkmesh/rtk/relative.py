@@ -18,7 +18,7 @@ from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite,
 from rtkmesh.rtk.calm import is_atmospheric
 from rtkmesh.rtk.code_arcs import since_seen
 from rtkmesh.rtk.code_errors import float_factor
-from rtkmesh.rtk.informed import GLONASS_CODE_M, Motion, Settled, Use, begin_informed, settle
+from rtkmesh.rtk.informed import Motion, Settled, Use, begin_informed, settle
 from rtkmesh.rtk.integrity import Guard, IntegritySetup, guard, note_agreement
 from rtkmesh.rtk.matching import Rules, distinct, match
 from rtkmesh.rtk.memory import CONFIRMED, INFORMED, SHARE, SLOPE_G1, SLOPE_G2, SLOPE_SIGMA_G1, SLOPE_SIGMA_G2, ResolveSetup
@@ -27,8 +27,7 @@ from rtkmesh.rtk.placing import Placing, in_full, is_dense, place_by_epoch
 from rtkmesh.rtk.predicted import learn_fix, share_of_step, spread
 from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellites, is_vague
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution, describe_slopes
-from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
-from rtkmesh.rtk.residuals import CODE, CODE_VARIANCE, Conditions, Differences, observe
+from rtkmesh.rtk.residuals import CODE, Conditions, Differences, blur_glonass_codes, observe
 from rtkmesh.rtk.separation import Codes, codes_alone
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
 from rtkmesh.rtk.slips import SLOW_S, SlipSetup
@@ -229,9 +228,7 @@ def solve(before: Filter, informed: Filter, d: Differences, atmospheric: bool, k
     far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
     atmosphere, walks = (2 if far else 3) if atmospheric else 0, walks_of(setup, length_m, known.memory)
     if far:
-        for k in range(len(d.table)):
-            if d.pairs.satellite[k] // SATELLITES_PER_SYSTEM == GLONASS:
-                d.table[k, CODE_VARIANCE] += GLONASS_CODE_M**2
+        blur_glonass_codes(d)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
     since_s = since_seen(known.codes_s, d.pairs, coded, time_s)
     arranged = lay_out(before, d, since_s, known.times_s, setup.slip, expected, walks, setup.phases, atmosphere)
