@@ -1,0 +1,37 @@
+"""Stations for hours: what is simulated is what the level says, judged against where the rover's antenna is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+NAMES = ("stations", "campaign")
+
+
+def test_runs_of_all_systems_are_alike(benchmarks: SimpleNamespace) -> None:
+    stations = benchmarks.stations
+    found = [stations.stations_of(level, 3, 1) for level in stations.LEVELS if level.km == 35]
+    assert len({(one.start, one.seed, tuple(one.rover_ecef_m)) for one in found}) == 1
+    assert 31.5e3 <= np.linalg.norm(found[0].rover_ecef_m - found[0].base_ecef_m) <= 38.5e3
+
+
+def test_levels_have_names(benchmarks: SimpleNamespace) -> None:
+    stations = benchmarks.stations
+    assert all(stations.level_of(f"{level.systems}:{level.km}") == level for level in stations.LEVELS)
+    with pytest.raises(ValueError, match="GR:50"):
+        stations.level_of("GR:48")
+
+
+def test_half_an_hour_is_solved_and_judged(benchmarks: SimpleNamespace) -> None:
+    stations = benchmarks.stations
+    level = stations.level_of("GREC:20")
+    found = stations.stations_of(level, 1, 0)
+    solutions = list(stations.solutions_of(level, found, 60))
+    judged = stations.judge(found, solutions)
+    assert judged.fixed[10:].all()
+    assert not judged.wrong.any()
+    assert np.nanmedian(judged.normalised) < 3.0
+    row = benchmarks.campaign.figures([benchmarks.campaign.outcome(str(level), 0, judged, 2.0)])
+    assert row["epochs"] == 60
+    assert row["first_right_s"][0] == int(np.argmax(judged.fixed)) / 2.0
+    assert len(list(benchmarks.campaign.lines_of(solutions, judged))) == 61
