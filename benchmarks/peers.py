@@ -2,11 +2,15 @@
 """The campaign's runs beside RTKLIB: some runs of every family, solved by us, by rnx2rtkp and by demo5, judged by the same truth.
 
   peers.py [--runs N] [--seed S] [--only NAME,...] [--quick] [--json] [--jobs N]
+  peers.py --choose > peers.toml              what suits each program in each family, on another seed
 
 Runs 0 to N - 1 of each family of campaign.py, with the same seed: the same receivers, faults and places. We solve them as there. RTKLIB
 gets what the receivers send (UBX, RTCM 3, with all faults) by way of convbin, the same ephemerides as wrong as ours are, and of the base
 those epochs that reach the rover; where a session is told to restart, its programs are started anew. What rnx2rtkp cannot be given as the
 rover has it is left out for all: base epochs that come late, and a base that tells another position on the way. Columns as in campaign.py.
+
+We have the same options in every family but bands, mode and length. Each of RTKLIB's programs has those settings of eight (peers.toml) that
+did best in the family on seed 2, counted as right less wrong fixes; `demo5 recommended` has what its author recommends.
 
 After the table: every run in which one of the others has right fixes in 5 % of the epochs more than we, has the first of them 5 s sooner,
 or has fewer wrong ones.
@@ -18,12 +22,14 @@ import json
 import os
 import sys
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cache
+from itertools import pairwise, product, repeat
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -41,6 +47,7 @@ from simulated_files import Files, Span, by_demo5, by_rnx2rtkp, converted, epoch
 
 Row = dict[str, Any]
 Outcomes = dict[str, list[Outcome]]  # by solver
+Found = TypeVar("Found")
 
 RUNS: Final = 10  # of each family
 QUICK_RUNS: Final = 2
@@ -49,12 +56,14 @@ COLUMNS: Final = (
     "family", "solved by", "runs", "fix %", "right %", "wrong fixes", "wrong % of fixes", "runs with wrong", "longest wrong s",
     "first right fix s",
 )  # fmt: skip
+CHOSEN: Final = Path(__file__).with_suffix(".toml")
+CHOOSING_SEED: Final = 2
+CHOOSING_RUNS: Final = 4
 _AHEAD_SHARE: Final = 0.05  # of the epochs, and
 _AHEAD_S: Final = 5.0  # less is luck
 _SYSTEMS: Final = "GREC"
 # As in the options that demo5's recommended solutions of recordings were made with.
-_DEMO5: Final = """pos1-dynamics=on
-pos2-gloarmode=fix-and-hold
+_DEMO5: Final = """pos2-gloarmode=fix-and-hold
 pos2-arfilter=on
 pos2-minfixsats=4
 pos2-minholdsats=5
@@ -69,36 +78,68 @@ stats-prnaccelv=1
 """
 
 
+class Settings(NamedTuple):
+    """What is set by family: whether a rover's motion is modelled, sigma of codes over that of phases, whether phases of which a u-blox
+    receiver is not sure are there at all, and whether GLONASS integers are searched for as if receivers were of one make.
+    """
+
+    dynamics: bool
+    code_ratio: int
+    every_phase: bool
+    glonass: bool = False
+
+    def options(self) -> str:
+        """Return them as options; phases are the business of the conversion."""
+        dynamics = "on" if self.dynamics else "off"
+        glonass = "pos2-gloarmode=on\n" if self.glonass else ""
+        return f"pos1-dynamics={dynamics}\nstats-eratio1={self.code_ratio}\nstats-eratio2={self.code_ratio}\n{glonass}"
+
+
+_ONE_MAKE: Final = "moving_base"  # the family of two receivers alike
+_RECOMMENDED: Final = Settings(True, 300, False)
+
+
+def all_settings(family: str) -> list[Settings]:
+    """Return the settings to choose from in a family."""
+    glonass = (False, True) if family == _ONE_MAKE else (False,)
+    return [Settings(*values) for values in product((True, False), (100, 300), (False, True), glonass)]
+
+
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """Another program with its options; ``moving``: further ones for a moving base."""
+    """Another program with its options."""
 
     name: str
     ambiguities: str
     further: str = ""
-    moving: str = ""
     demo5: bool = False
+    chosen: bool = True  # its settings are chosen by family
 
-    def solve(self, run: Simulated, files: Files) -> list[Track | None]:
+    def settings(self, family: str) -> Settings:
+        """Return its settings in a family."""
+        return Settings(*_chosen()[self.name][family]) if self.chosen else _RECOMMENDED
+
+    def solve(self, run: Simulated, files: Files, settings: Settings) -> list[Track | None]:
         """Return its solutions of a run, a track per start."""
         by: Callable[[Simulated, Files, str, Span], Track | None] = by_demo5 if self.demo5 else by_rnx2rtkp
-        return [by(run, files, self.options(run), span) for span in spans(run)]
+        return [by(run, files, self.options(run, settings), span) for span in spans(run)]
 
-    def options(self, run: Simulated) -> str:
+    def options(self, run: Simulated, settings: Settings) -> str:
         """Return its options for a run."""
         asked = run.setup.options
-        moving = asked.mode is Mode.MOVING_BASE
         systems = "".join(system for system in _SYSTEMS if system in run.setup.rover.systems)
+        moving = asked.mode is Mode.MOVING_BASE
         mode = "movingbase" if moving else "kinematic"
         plain = rtklib.plain_options(mode, systems, asked.frequencies, self.ambiguities, demo5=self.demo5)
-        return plain + self.further + (self.moving + self._length(run) + "out-solformat=enu\n" if moving else _of_base(run))
+        return plain + self.further + settings.options() + (self._of_moving_base(run) if moving else _of_base(run))
 
-    def _length(self, run: Simulated) -> str:
-        """Return what is known of the length; demo5 fixes less when it is told."""
+    def _of_moving_base(self, run: Simulated) -> str:
+        """Return what is known of the distance, and that the baseline is asked for; demo5 fixes less when it is told the distance."""
+        if self.demo5:
+            return "out-solformat=enu\n"
         asked = run.setup.options
-        if asked.baseline_length_m is None or self.demo5:
-            return ""
-        return f"pos2-baselen={asked.baseline_length_m:.4f}\npos2-basesig={asked.baseline_sigma_m}\n"
+        length = "" if asked.baseline_length_m is None else f"pos2-baselen={asked.baseline_length_m:.4f}\n"
+        return f"{length}pos2-basesig={asked.baseline_sigma_m}\nout-solformat=enu\n"
 
 
 def _of_base(run: Simulated) -> str:
@@ -106,12 +147,16 @@ def _of_base(run: Simulated) -> str:
     return f"out-solformat=xyz\nant2-postype=xyz\nant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n"
 
 
-_MOVING_B34: Final = "pos1-dynamics=off\npos2-gloarmode=on\n"  # both antennas move alike and are of one make
+@cache
+def _chosen() -> dict[str, dict[str, list[Any]]]:
+    return tomllib.loads(CHOSEN.read_text())
+
+
 _PEERS: Final = (
-    Peer("b34 continuous", "continuous", "pos1-dynamics=on\n", _MOVING_B34),
-    Peer("b34 fix-and-hold", "fix-and-hold", "pos1-dynamics=on\n", _MOVING_B34),
-    Peer("demo5 recommended", "fix-and-hold", _DEMO5, demo5=True),
-    Peer("demo5 at once", "fix-and-hold", _DEMO5 + "pos2-arthres1=10\n", demo5=True),
+    Peer("b34 continuous", "continuous"),
+    Peer("b34 fix-and-hold", "fix-and-hold"),
+    Peer("demo5 fix-and-hold", "fix-and-hold", _DEMO5 + "pos2-arthres1=10\n", demo5=True),  # does not wait for a sure float
+    Peer("demo5 recommended", "fix-and-hold", _DEMO5, demo5=True, chosen=False),
 )
 
 
@@ -151,33 +196,73 @@ def judged(run: Simulated, tracks: Iterable[Track | None]) -> Judged:
     return none
 
 
+Tried = dict[tuple[str, Settings], Outcome]  # of one run, by program and settings
+
+
+def tried(run: Simulated, family: str, number: int, settings_of: Callable[[Peer], Iterable[Settings]]) -> Tried:
+    """Return what the other programs make of a run with each of some settings."""
+    found: Tried = {}
+    for every_phase in (False, True):
+        wanted = [(peer, s) for peer in installed() for s in settings_of(peer) if s.every_phase is every_phase]
+        if not wanted:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            files = with_wrong_orbits(run, converted(run, sent(run, every_phase=every_phase), Path(folder)))
+            for peer, settings in wanted:
+                found[peer.name, settings] = outcome(family, number, judged(run, peer.solve(run, files, settings)))
+    return found
+
+
 def measure(name: str, seed: int, number: int) -> dict[str, Outcome]:
     """Return what every solver makes of a run; nothing of one that cannot be given."""
-    family = next(f for f in FAMILIES if f.name == name)
-    run = simulated_run(family, seed, number)
+    run = _run(name, seed, number)
     if not can_be_given(run):
         return {}
-    found = {OURS: outcome(name, number, judge(run, solve(run)))}
-    with tempfile.TemporaryDirectory() as folder:
-        peers = installed()
-        files = with_wrong_orbits(run, converted(run, sent(run), Path(folder))) if peers else None
-        return found | {peer.name: outcome(name, number, judged(run, peer.solve(run, files))) for peer in peers if files}
+    ours = {OURS: outcome(name, number, judge(run, solve(run)))}
+    theirs = {peer: one for (peer, _), one in tried(run, name, number, lambda peer: [peer.settings(name)]).items()}
+    return ours | {peer.name: theirs[peer.name] for peer in installed()}
 
 
-def _measure(item: tuple[str, int, int]) -> dict[str, Outcome]:
-    return measure(*item)
+def _run(name: str, seed: int, number: int) -> Simulated:
+    return simulated_run(next(f for f in FAMILIES if f.name == name), seed, number)
 
 
-def campaign(names: Sequence[str], seed: int, runs: int, jobs: int) -> dict[str, Outcomes]:
-    """Return the outcomes of every family that can be given, by solver."""
-    work = [(name, seed, number) for name in names for number in range(runs)]
-    gathered: dict[str, Outcomes] = {}
+def measure_all(name: str, seed: int, number: int) -> Tried:
+    """Return what those programs whose settings are chosen make of a run with all settings."""
+    run = _run(name, seed, number)
+    return tried(run, name, number, lambda peer: all_settings(name) if peer.chosen else ()) if can_be_given(run) else {}
+
+
+def campaign(measured: Callable[[str, int, int], Found], names: Sequence[str], seed: int, runs: int, jobs: int) -> dict[str, list[Found]]:
+    """Return what was measured of every run, by family, without the runs that cannot be given."""
+    names_of, numbers = [name for name in names for _ in range(runs)], [*range(runs)] * len(names)
+    gathered: dict[str, list[Found]] = {name: [] for name in names}
     with ProcessPoolExecutor(jobs) as pool:
-        done = track(pool.map(_measure, work), "runs", len(work), console=Console(stderr=True), disable=not sys.stderr.isatty())
-        for (name, _, _), found in zip(work, done, strict=True):
-            for solver, one in found.items():
-                gathered.setdefault(name, {}).setdefault(solver, []).append(one)
-    return gathered
+        done = pool.map(measured, names_of, repeat(seed), numbers)
+        shown = track(done, "runs", len(numbers), console=Console(stderr=True), disable=not sys.stderr.isatty())
+        for name, found in zip(names_of, shown, strict=True):
+            gathered[name] += [found] if found else []
+    return {name: found for name, found in gathered.items() if found}
+
+
+def by_solver(gathered: dict[str, list[dict[str, Outcome]]]) -> dict[str, Outcomes]:
+    """Return the outcomes of each family by solver."""
+    return {name: {solver: [found[solver] for found in runs] for solver in runs[0]} for name, runs in gathered.items()}
+
+
+def chosen(gathered: dict[str, list[Tried]]) -> str:
+    """Return the file of the settings that did best, by program and family."""
+    lines = [f"# Settings of RTKLIB's programs by family: {', '.join(Settings._fields)}. Made by peers.py --choose."]
+    for peer in (peer for peer in installed() if peer.chosen):
+        lines.append(f"\n[{json.dumps(peer.name)}]")
+        lines += [f"{name} = {json.dumps(best(peer.name, runs))}" for name, runs in gathered.items()]
+    return "\n".join(lines)
+
+
+def best(peer: str, runs: Sequence[Tried]) -> Settings:
+    """Return the settings with the most right fixes less wrong ones; of equals the first."""
+    tried_here = [settings for name, settings in runs[0] if name == peer]
+    return max(tried_here, key=lambda settings: sum(_right(found[peer, settings]) - found[peer, settings].wrong for found in runs))
 
 
 def rows(gathered: dict[str, Outcomes]) -> list[Row]:
@@ -231,7 +316,11 @@ def _short(one: Outcome) -> str:
 def main() -> int:
     options = _options()
     names = [f.name for f in FAMILIES if not options.only or f.name in options.only.split(",")]
-    gathered = campaign(names, options.seed, options.runs or (QUICK_RUNS if options.quick else RUNS), options.jobs)
+    if options.choose:
+        print(chosen(campaign(measure_all, names, CHOOSING_SEED, options.runs or CHOOSING_RUNS, options.jobs)))
+        return 0
+    runs = options.runs or (QUICK_RUNS if options.quick else RUNS)
+    gathered = by_solver(campaign(measure, names, options.seed, runs, options.jobs))
     found, lines = rows(gathered), list(ahead(gathered))
     if options.json:
         print(json.dumps({"seed": options.seed, "rows": found, "ahead": lines}, indent=1))
@@ -248,6 +337,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--runs", type=int, default=0, help=f"of each family (default {RUNS})")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", help="names of families, with commas between")
+    parser.add_argument("--choose", action="store_true", help="try all settings and print those that did best")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs of each family")
     parser.add_argument("--json", action="store_true", help="all figures, for programs")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")

@@ -9,6 +9,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from math import inf
 from pathlib import Path
 from typing import Final
 
@@ -31,32 +32,49 @@ from simulated import Simulated
 Span = tuple[float, float]  # seconds of a run: its first epoch and the one after its last
 
 _ORIGIN: Final = Origin(3.05, "rtkmesh benchmarks", datetime(2026, 1, 1))
+_KEPT_SIGMA_CYC: Final = 0.016
 _BASE_SEED: Final = 1  # apart from the rover's: of what the receiver itself believes of its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sent:
-    """What rover and base send at every epoch (UBX and RTCM 3; UBX of a base that moves as well); nothing while the base is dead."""
+    """What a rover sends and what it hears of its base, epoch by epoch: UBX and RTCM 3 (of a base that moves UBX as well)."""
 
     rover: list[bytes]
-    base: list[bytes]
+    base: list[bytes]  # nothing where the base is dead or its epoch never arrives
     base_form: str
 
 
-def sent(run: Simulated) -> Sent:
-    """Return the bytes of a run, with its faults."""
+def sent(run: Simulated, *, every_phase: bool = False) -> Sent:
+    """Return the bytes of a run, with its faults.
+
+    convbin drops a phase of which a u-blox receiver says that its sigma is 0.02 cycles or more, in a street a third of them; with
+    ``every_phase`` receivers say less of all.
+    """
     rover = UbxStream(run.seed, warm=True)
     x, y, z = run.base_ecef_m.tolist()
     base = UbxStream(run.seed + _BASE_SEED, warm=True) if run.setup.base_moves else Rtcm3Stream((x, y, z), warm=True)
+    largest_cyc = _KEPT_SIGMA_CYC if every_phase else inf
     return Sent(
-        [rover.encode(_with(o, epoch)) for o, epoch in zip(run.rover, run.rover_epochs, strict=True)],
-        [b"" if o is None or epoch is None else base.encode(_with(o, epoch)) for o, epoch in zip(run.base, run.base_epochs, strict=True)],
+        [rover.encode(_told(o, epoch, largest_cyc)) for o, epoch in zip(run.rover, run.rover_epochs, strict=True)],
+        [
+            b"" if o is None or epoch is None else base.encode(_told(o, epoch, largest_cyc))
+            for o, epoch in zip(_heard(run), run.base_epochs, strict=True)
+        ],
         "ubx" if run.setup.base_moves else "rtcm3",
     )  # fmt: skip
 
 
-def _with(observed: Observed, epoch: Epoch) -> Observed:
-    return replace(observed, epoch=epoch)
+def _heard(run: Simulated) -> list[Observed | None]:
+    """Return the epochs of the base that arrive at some time."""
+    setup = run.setup
+    arriving = {told for second in range(setup.seconds) for told in setup.arrivals(second)}
+    return [o if k // setup.base_hz in arriving else None for k, o in enumerate(run.base)]
+
+
+def _told(observed: Observed, epoch: Epoch, largest_cyc: float) -> Observed:
+    """Return what a receiver observed as an epoch with its faults, phases' sigmas not above a largest."""
+    return replace(observed, epoch=replace(epoch, phase_sigma_cyc=np.minimum(epoch.phase_sigma_cyc, largest_cyc)))
 
 
 @dataclass(frozen=True, slots=True)
