@@ -16,7 +16,6 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import timedelta
 from math import radians
 from pathlib import Path
 from typing import Any, Final
@@ -31,17 +30,15 @@ import rtklib
 from bounds import clopper_pearson
 from results import table
 from rtkmesh.codecs.stream import StreamDecoder, StreamOptions
-from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
 from rtkmesh.rtk.solution import Status
 from rtkmesh.simulation.classes import F9P, M8, SURVEY, moving
 from rtkmesh.simulation.receiver import ReceiverOptions
-from rtkmesh.simulation.rtcm3_stream import Rtcm3Stream
 from rtkmesh.simulation.trajectories import boat
-from rtkmesh.simulation.ubx_stream import UbxStream
-from score_pos import ScoreError, read_track
+from score_pos import FIX, Track
 from simulated import ENOUGH_SATELLITES, WRONG_M, Outage, Setup, Simulated, simulate, slopes_of_two_makes_m
+from simulated_files import Files, Sent, by_rnx2rtkp, converted, epochs_of, sent
 
 Row = dict[str, Any]
 Errors = NDArray[np.float64]  # per epoch: 3D error of a fix (m), NaN without a fix
@@ -63,11 +60,10 @@ _RECEIVERS: Final = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mission:
-    """A mission as bytes: per epoch what rover and base send; ``surfacings`` are the (first, last + 1) epochs between the dives."""
+    """A mission as bytes; ``surfacings`` are the (first, last + 1) epochs between the dives."""
 
     run: Simulated
-    rover: list[bytes]
-    base: list[bytes]
+    sent: Sent
     surfacings: list[tuple[int, int]]
 
 
@@ -86,9 +82,7 @@ def mission(receiver: ReceiverOptions, frequencies: int, rng: np.random.Generato
         outages=tuple(outages),
     )  # fmt: skip
     run = simulate(setup, rng)
-    x, y, z = run.base_ecef_m.tolist()
-    encode_rover, encode_base = UbxStream(run.seed, warm=True).encode, Rtcm3Stream((x, y, z), warm=True).encode
-    return Mission(run, [encode_rover(o) for o in run.rover], [encode_base(o) for o in run.base if o is not None], surfacings)
+    return Mission(run, sent(run), surfacings)
 
 
 def ours(mission: Mission, *, restarted: bool) -> Errors:
@@ -101,71 +95,38 @@ def ours(mission: Mission, *, restarted: bool) -> Errors:
     for k in range(run.setup.epochs):
         if k in starts:
             session.restart()
-        for source, data in ((Source.ROVER, mission.rover[k]), (Source.BASE, mission.base[k])):
+        for source, data in ((Source.ROVER, mission.sent.rover[k]), (Source.BASE, mission.sent.base[k])):
             for _, messages in decoders[source].feed(data):
                 for message in messages:
                     session.feed(source, message, float(k))
         for solution in session.solutions(k + 0.5):
             if solution.status is Status.FIX:
-                _note(errors, run, solution.time, solution.position_ecef_m)
+                _note(errors, run, round(solution.time - run.start), solution.position_ecef_m)
     return errors
 
 
-def _note(errors: Errors, run: Simulated, time: GpsTime, position_ecef_m: NDArray[np.float64]) -> None:
-    k = round(time - run.start)
+def _note(errors: Errors, run: Simulated, k: int, position_ecef_m: NDArray[np.float64]) -> None:
     if 0 <= k < len(errors):
         errors[k] = np.linalg.norm(position_ecef_m - run.rover[k].position_ecef_m)
-
-
-@dataclass(frozen=True, slots=True)
-class Files:
-    """A mission as RINEX."""
-
-    folder: Path
-    rover: Path
-    base: Path
-    navigation: tuple[Path, ...]
-
-
-def converted(mission: Mission, folder: Path) -> Files:
-    """Write the bytes as logs and have convbin make RINEX of them."""
-    at = f"{mission.run.start.to_calendar():%Y/%m/%d %H:%M:%S}".split()
-    for name, form, data in (("rover", "ubx", mission.rover), ("base", "rtcm3", mission.base)):
-        log = folder / f"{name}.{form}"
-        log.write_bytes(b"".join(data))
-        argv = ["convbin", "-r", form, "-v", "3.04", "-od", "-os", "-tr", *at]
-        rtklib.run([*argv, "-o", str(folder / f"{name}.obs"), "-n", str(folder / f"{name}.nav"), str(log)])
-    return Files(folder, folder / "rover.obs", folder / "base.obs", (folder / "base.nav", folder / "rover.nav"))
 
 
 def theirs(mission: Mission, files: Files, systems: str, ambiguities: str, *, restarted: bool) -> Errors:
     """Return the errors of rnx2rtkp's fixes."""
     run = mission.run
     x, y, z = run.base_ecef_m.tolist()
-    conf = files.folder / "dive.conf"
     plain = rtklib.plain_options("kinematic", systems, run.setup.options.frequencies, ambiguities)
-    conf.write_text(f"{plain}out-solformat=xyz\nant2-postype=xyz\nant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n")
+    options = f"{plain}out-solformat=xyz\nant2-postype=xyz\nant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n"
     errors = np.full(run.setup.epochs, np.nan)
     for span in mission.surfacings if restarted else [(0, run.setup.epochs)]:
-        _solved(files, conf, run, span, errors)
+        found = by_rnx2rtkp(run, files, options, span)
+        if found is not None:
+            _note_fixes(errors, run, found)
     return errors
 
 
-def _solved(files: Files, conf: Path, run: Simulated, span: tuple[int, int], errors: Errors) -> None:
-    """Run rnx2rtkp over a span of epochs and note its fixes."""
-    out = files.folder / "dive.pos"
-    times: list[str] = []
-    for flag, k in (("-ts", span[0] - 0.5), ("-te", span[1] - 0.5)):
-        times += [flag, *f"{run.start.to_calendar() + timedelta(seconds=k):%Y/%m/%d %H:%M:%S.%f}".split()]
-    rtklib.run(["rnx2rtkp", "-k", str(conf), *times, "-o", str(out), str(files.rover), str(files.base), *map(str, files.navigation)])
-    try:
-        found = read_track(out)
-    except (OSError, ScoreError):  # not one solution in this span
-        return
-    begin_s = run.start.week * 604800.0 + run.start.tow_s
-    for time_s, position_m, quality in zip(found.time_s, found.vector_m, found.quality, strict=True):
-        if quality == 1:
-            _note(errors, run, run.start + float(time_s - begin_s), position_m)
+def _note_fixes(errors: Errors, run: Simulated, found: Track) -> None:
+    for k, position_m in zip(epochs_of(run, found)[found.quality == FIX], found.vector_m[found.quality == FIX], strict=True):
+        _note(errors, run, int(k), position_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +171,7 @@ def solved(mission: Mission, systems: str) -> Iterator[tuple[str, list[Surfacing
     if rtklib.missing():
         return
     with tempfile.TemporaryDirectory() as folder:
-        files = converted(mission, Path(folder))
+        files = converted(mission.run, mission.sent, Path(folder))
         for ambiguities in ("continuous", "fix-and-hold"):
             for restarted, word in ((False, ""), (True, ", restarted")):
                 errors = theirs(mission, files, systems, ambiguities, restarted=restarted)

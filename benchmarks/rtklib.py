@@ -22,6 +22,7 @@ PROGRAMS: Final = ("rnx2rtkp", "convbin")
 TIMEOUT_S: Final = 1200.0
 # 2.4.3 b34 knows these names only and falls back to l1+2 for demo5's, which are in the stored options.
 _FREQUENCIES: Final = {1: "l1", 2: "l1+2", 3: "l1+2+3"}
+_DEMO5_FREQUENCIES: Final = {1: "l1", 2: "l1+l2", 3: "l1+l2+l5"}
 _DIRECTIONS: Final[dict[str, list[str]]] = {"forward": [], "backward": ["-b"], "combined": ["-c"]}
 _FORMATS: Final = {".ubx": "ubx", ".rtcm3": "rtcm3"}
 _SYSTEM_BITS: Final = {"G": 1, "R": 4, "E": 8, "J": 16, "C": 32}
@@ -137,13 +138,14 @@ def rinex(case: Case, folder: Path) -> list[Path]:
     return [rover, base, *case.navigation, *base_navigation, *rover_navigation]
 
 
-def plain_options(mode: str, systems: str, frequencies: int, ambiguities: str) -> str:
-    """Return rnx2rtkp's plain options for a mode (kinematic, movingbase), RINEX letters, bands and a way with ambiguities.
+def plain_options(mode: str, systems: str, frequencies: int, ambiguities: str, *, demo5: bool = False) -> str:
+    """Return plain options of b34 or demo5 for a mode (kinematic, movingbase), RINEX letters, bands and a way with ambiguities.
 
     GLONASS stays float, as in the options beside the recordings of receivers of two makes.
     """
+    bands = (_DEMO5_FREQUENCIES if demo5 else _FREQUENCIES)[frequencies]
     bits = sum(_SYSTEM_BITS[system] for system in systems)
-    chosen = {"pos1-posmode": mode, "pos1-navsys": bits, "pos1-frequency": _FREQUENCIES[frequencies], "pos2-armode": ambiguities}
+    chosen = {"pos1-posmode": mode, "pos1-navsys": bits, "pos1-frequency": bands, "pos2-armode": ambiguities}
     return _PLAIN + "pos2-gloarmode=off\n" + "".join(f"{name}={value}\n" for name, value in chosen.items())
 
 

@@ -129,7 +129,7 @@ def test_surfacings_of_known_errors(benchmarks: SimpleNamespace):
         return SimpleNamespace(epoch=SimpleNamespace(satellite=np.arange(satellites)))
 
     rover = [observed(k) for k in (9, 9, 0, 0, 3, 6, 6, 6, 6, 6)]
-    mission = benchmarks.dive.Mission(SimpleNamespace(rover=rover), [], [], [(4, 10)])
+    mission = benchmarks.dive.Mission(SimpleNamespace(rover=rover), SimpleNamespace(), [(4, 10)])
     errors = np.array([0.0, 0.0, np.nan, np.nan, 0.0, np.nan, 3.0, 0.01, 0.2, 0.02])
     found = list(benchmarks.dive.surfacings(mission, errors))
     assert found == [benchmarks.dive.Surfacing(5, 2, 2, 2.0)]
