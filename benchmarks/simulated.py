@@ -77,9 +77,9 @@ class Setup:
     solver in second k; ``rover_arrivals(k)``: which epochs of the rover when its epoch k should. From second ``restart_at`` on the base is
     dead for ``restart_gap`` seconds and comes back cold, from ``rover_restart_at`` on the rover. From second ``shift_at`` on the base tells
     a position that is ``shift_enu_m`` off. ``told_restarts``: the session is restarted at the end of every outage, as by the command.
-    ``jumps_at``: seconds at which the clocks of rover and base jump by a millisecond (None: when they would). In the middle of the run is a
-    multiple of ``crosses_s`` seconds of the week (0: any time). ``navigation``: which ephemerides arrive when. The vehicle stands for
-    ``stands_s`` before it moves.
+    ``jumps_at``: seconds at which the clocks of rover and base jump by a millisecond (None: when they would). ``crosses``: in this second
+    of the run is a multiple of so many seconds of the week (None: a run begins at any time). ``navigation``: which ephemerides arrive when.
+    The vehicle stands for ``stands_s`` before it moves.
     """
 
     seconds: int
@@ -104,7 +104,7 @@ class Setup:
     shift_enu_m: Offset = (0.0, 0.0, 0.0)
     told_restarts: bool = False
     jumps_at: tuple[int | None, int | None] = (None, None)
-    crosses_s: int = 0
+    crosses: tuple[int, int] | None = None
     stands_s: float = 0.0
     navigation: Navigation = known_before
 
@@ -190,10 +190,11 @@ def _in_motion_s(time_s: float, start_s: float, stands_s: float) -> float:
 
 
 def _start(setup: Setup, drawn: GpsTime) -> GpsTime:
-    """Return when a run begins: at a drawn time, or so near to it that the instant that it must cross is in its middle."""
-    if not setup.crosses_s:
+    """Return when a run begins: at a drawn time, or as near to it as lets it cross what it must."""
+    if setup.crosses is None:
         return drawn
-    return GpsTime.normalized(drawn.week, -(-drawn.tow_s // setup.crosses_s) * setup.crosses_s - setup.seconds // 2)
+    at_s, every_s = setup.crosses
+    return GpsTime.normalized(drawn.week, -(-drawn.tow_s // every_s) * every_s - at_s)
 
 
 def _observed(

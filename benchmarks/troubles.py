@@ -58,6 +58,7 @@ _COUNTS: Final = (0.35, 0.4, 0.25)  # of runs with one, two and three troubles
 _OF_TROUBLES: Final = 1  # what is drawn for troubles does not change what is drawn for the configuration
 _ISSUES_S: Final = 7200  # GPS satellites change their ephemerides then, and others with them
 _WEEK_S: Final = 604800
+_BEFORE_S: Final = SECONDS + 30  # so long before it does a run begin that is not to cross such an instant
 _COVERED_S: Final = 30.0  # within so long all satellites have told their ephemerides
 
 
@@ -133,8 +134,8 @@ def _both(
 
 
 def _halves(rng: Random, rover: Sequence[Observed], _base: Sequence[Observed]) -> tuple[list[Disturbance], list[Disturbance]]:
-    """Return untold slips of half a cycle and its multiples: half cycles that were resolved wrongly, or flip."""
-    return slips_on(rng, rover, 0.5), []
+    """Return half cycles, and multiples of these, that nobody tells and that are gone after 1 to 20 s."""
+    return [replace(d, end_s=d.start_s + float(rng.uniform(1.0, 20.0))) for d in slips_on(rng, rover, 0.5)], []
 
 
 def _slipping(receiver: ReceiverOptions) -> ReceiverOptions:
@@ -224,11 +225,11 @@ def _new_issues(run: Setup, rng: Random) -> Setup:
         newest = broadcast(satellite, start + float(seconds))
         yield max(newest.transmitted - start, 0.0) + float(shares[satellite % 256] * _COVERED_S), newest
 
-    return replace(run, crosses_s=_ISSUES_S, navigation=navigation)
+    return replace(run, crosses=(run.seconds // 2, _ISSUES_S), navigation=navigation)
 
 
 def _week_end(run: Setup, _rng: Random) -> Setup:
-    return replace(run, crosses_s=_WEEK_S)
+    return replace(run, crosses=(run.seconds // 2, _WEEK_S))
 
 
 def _of_some(change: Callable[[Sent], Sent], rng: Random) -> Callable[[int, GpsTime, int], Iterator[Sent]]:
@@ -299,6 +300,7 @@ TROUBLES: Final[Mapping[str, Mapping[str, Change]]] = {
     },
 }  # fmt: skip
 NONE: Final = "no trouble"
+_CROSSED_S: Final = {"new issues": _ISSUES_S, "end of week": _WEEK_S}
 
 
 def _random_of(seed: int, run: int) -> Random:
@@ -319,9 +321,10 @@ def levels_of_run(seed: int, run: int) -> Levels:
 
 
 def twin_of_run(seed: int, run: int) -> tuple[Setup, Random]:
-    """Return a run without its troubles."""
+    """Return a run without its troubles; it ends before what its twin crosses."""
     setup, rng = modes.setup_of_run(seed, run)
-    return replace(setup, seconds=SECONDS), rng
+    every_s = _CROSSED_S.get(_drawn(_random_of(seed, run))["navigation"])
+    return replace(setup, seconds=SECONDS, crosses=None if every_s is None else (_BEFORE_S, every_s)), rng
 
 
 def setup_of_run(seed: int, run: int) -> tuple[Setup, Random]:

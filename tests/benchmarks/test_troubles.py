@@ -183,7 +183,10 @@ def test_a_run_without_fixes_is_held_against_its_twin(benchmarks: SimpleNamespac
     assert [line.partition(": ")[0] for line in scan.losses(troubles.SCAN, [worse, same])] == ["  0.0 % right, 100.0 of the twin"]
 
 
-def test_absolute_times_of_a_start_that_crosses(run_with: Any):
-    """The end of the week is half a minute after the start."""
-    run = run_with("navigation", "end of week")
-    assert absolute_s(GpsTime(run.start.week + 1, 0.0)) - absolute_s(run.start) == 30.0
+def test_a_twin_ends_before_what_a_run_crosses(benchmarks: SimpleNamespace):
+    """The end of the week is in the middle of the run, its twin is a minute before it."""
+    scan, troubles = benchmarks.scan, benchmarks.troubles
+    run = next(scan.picked(troubles.SCAN, 1, {"navigation": frozenset(("end of week",)), "rate": frozenset(("1",))}))
+    simulated, twin = scan.simulated_run(troubles.SCAN, 1, run), benchmarks.simulated.simulate(*troubles.twin_of_run(1, run))
+    assert absolute_s(GpsTime(simulated.start.week + 1, 0.0)) - absolute_s(simulated.start) == 30.0
+    assert simulated.start - twin.start == 60.0

@@ -66,7 +66,7 @@ class ReceiverOptions:
     elevation_mask_rad: float = 0.12
     clock_drift: float = 3e-7  # s/s; the reading is kept within half a millisecond by jumps of one
     steered: bool = False  # the clock is held near GPS time instead
-    jumps_at_s: float | None = None  # s from the sky's REFERENCE: a jump comes then, or within a second, else whenever the drift brings one
+    jumps_at_s: float | None = None  # s from the sky's REFERENCE: one of the jumps comes then; None: whenever the drift brings it
     warm: bool = True  # at the first epoch everything in view is tracked already
     systems: str = "GREC"
     frequencies: int = SLOTS
