@@ -51,6 +51,7 @@ BENCHMARKS = (
     Benchmark("campaign", "campaign.py", "Simulated runs against the truth", ("--quick",), recordings=False),
     Benchmark("rates", "rates.py", "The same runs at 1, 5 and 10 Hz", ("--quick",), recordings=False),
     Benchmark("modes", "modes.py", "Drawn configurations: where the engine is wrong", ("--quick",), recordings=False),
+    Benchmark("troubles", "troubles.py", "Drawn surroundings and faults: where the engine is wrong", ("--quick",), recordings=False),
     Benchmark("dive", "dive.py", "After dives, RTKLIB on the same bytes", ("--quick",), recordings=False),
     Benchmark("directions", "directions.py", "Forward, backward and combined, beside RTKLIB's", ("--quick",)),
     Benchmark("thin_base", "thin_base.py", "A base every 5 to 30 s, interpolated or not, beside RTKLIB's", ("--quick",)),
