@@ -186,14 +186,15 @@ def _shifted(run: Setup, rng: Random) -> Setup:
 # --- receivers ---
 
 
+_OF_BASE: Final = ("base's jumps", "both jump")
+
+
 def _jumping(*, rover: bool, base: bool) -> Change:
-    """Return what lets clocks jump by a millisecond."""
+    """Return what lets clocks jump by a millisecond; that of the base is not steered, then."""
 
     def change(run: Setup, rng: Random) -> Setup:
-        at = _second(rng), _second(rng)
-        return replace(
-            run, base=replace(run.base, steered=run.base.steered and not base), jumps_at=(at[0] if rover else None, at[1] if base else None)
-        )
+        rover_at, base_at = _second(rng), _second(rng)
+        return replace(run, jumps_at=(rover_at if rover else None, base_at if base else None))
 
     return change
 
@@ -287,8 +288,8 @@ TROUBLES: Final[Mapping[str, Mapping[str, Change]]] = {
     },
     "clocks": {
         "rover's jumps": _jumping(rover=True, base=False),
-        "base's jumps": _jumping(rover=False, base=True),
-        "both jump": _jumping(rover=True, base=True),
+        _OF_BASE[0]: _jumping(rover=False, base=True),
+        _OF_BASE[1]: _jumping(rover=True, base=True),
     },
     "rover": {
         "restart": _restarting_rover,
@@ -321,10 +322,12 @@ def levels_of_run(seed: int, run: int) -> Levels:
 
 
 def twin_of_run(seed: int, run: int) -> tuple[Setup, Random]:
-    """Return a run without its troubles; it ends before what its twin crosses."""
+    """Return a run without its troubles; it ends before what its twin crosses, and the base's clock is of the same kind."""
     setup, rng = modes.setup_of_run(seed, run)
-    every_s = _CROSSED_S.get(_drawn(_random_of(seed, run))["navigation"])
-    return replace(setup, seconds=SECONDS, crosses=None if every_s is None else (_BEFORE_S, every_s)), rng
+    troubles = _drawn(_random_of(seed, run))
+    every_s = _CROSSED_S.get(troubles["navigation"])
+    base = replace(setup.base, steered=setup.base.steered and troubles["clocks"] not in _OF_BASE)
+    return replace(setup, seconds=SECONDS, crosses=None if every_s is None else (_BEFORE_S, every_s), base=base), rng
 
 
 def setup_of_run(seed: int, run: int) -> tuple[Setup, Random]:
