@@ -190,9 +190,16 @@ def _bad_share(found: Sequence[Measured]) -> float:
 def replays(scan: Scan, found: Sequence[Measured]) -> Iterator[str]:
     """Yield the command that shows each run with wrong fixes, worst first."""
     for m in sorted((m for m in found if m.outcome.wrong), key=lambda m: (-m.outcome.wrong, m.run)):
-        o = m.outcome
-        share = f"{o.wrong:4d} wrong of {o.fixes:4d}, {o.longest_wrong_s:5.1f} s, worst {o.worst_m:6.2f} m"
-        yield f"{share}: {_again(scan, m)}"
+        yield f"{_share_of(m.outcome)}: {_again(scan, m)}"
+
+
+def wrong_twins(scan: Scan, found: Sequence[Measured]) -> Iterator[str]:
+    """Yield the command that shows each twin with wrong fixes."""
+    return (f"{_share_of(m.twin)}: {_again(scan, m, twin=True)}" for m in found if m.twin is not None and m.twin.wrong)
+
+
+def _share_of(o: Outcome) -> str:
+    return f"{o.wrong:4d} wrong of {o.fixes:4d}, {o.longest_wrong_s:5.1f} s, worst {o.worst_m:6.2f} m"
 
 
 def odd_runs(scan: Scan, found: Sequence[Measured]) -> Iterator[str]:
@@ -206,8 +213,8 @@ def losses(scan: Scan, found: Sequence[Measured], least_pct: float = 50.0) -> It
         yield f"{_right_pct(m.outcome):5.1f} % right, {m.lost_pct + _right_pct(m.outcome):5.1f} of the twin: {_again(scan, m)}"
 
 
-def _again(scan: Scan, m: Measured) -> str:
-    return f"{scan.program} --run {m.outcome.family} --trace   {', '.join(m.levels.values())}"
+def _again(scan: Scan, m: Measured, *, twin: bool = False) -> str:
+    return f"{scan.program} --run {m.outcome.family}{' --twin' if twin else ''} --trace   {', '.join(m.levels.values())}"
 
 
 def page(scan: Scan, rows: Mapping[str, Row]) -> str:
@@ -242,18 +249,21 @@ def _report(scan: Scan, seed: int, found: Sequence[Measured]) -> None:
     print(page(scan, flat | {"all": row_of(found)}))
     if pairs := by_pairs(scan, found):
         print(f"Pairs of levels whose runs have wrong fixes more often than those of either:\n\n{page(scan, pairs)}")
-    lists = {"with wrong fixes": replays, "in which something is that must never be": odd_runs, "far behind their twins": losses}
+    lists = {
+        "with wrong fixes": replays, "whose twins have wrong fixes": wrong_twins, "in which something is that must never be": odd_runs,
+        "far behind their twins": losses,
+    }  # fmt: skip
     for title, yields in lists.items():
         if commands := list(yields(scan, found)):
             print(f"Runs {title}, seed {seed}:\n\n```text\n" + "\n".join(commands) + "\n```")
 
 
-def _one(scan: Scan, text: str, *, traced: bool) -> int:
-    """Show one run: its figures, or its epochs."""
+def _one(scan: Scan, text: str, *, traced: bool, twin: bool) -> int:
+    """Show one run, or its twin: its figures, or its epochs."""
     seed, run = (int(number) for number in text.split(":"))
     print(f"{text}: " + ", ".join(f"{factor} {level}" for factor, level in scan.drawn(seed, run).items()))
     if traced:
-        print("\n".join(trace_of(text, simulated_run(scan, seed, run))))
+        print("\n".join(trace_of(text, simulate(*(scan.twin if twin and scan.twin else scan.setup)(seed, run)))))
     else:
         print(page(scan, {text: row_of([measure(scan, seed, run)])}))
     return 0
@@ -267,13 +277,15 @@ def main(scan: Scan, text: str | None) -> int:
     parser.add_argument("--only", default="", help="levels of factors: mode=static|static-start,systems=G")
     parser.add_argument("--run", metavar="SEED:K", help="this run alone")
     parser.add_argument("--trace", action="store_true", help="with --run: every epoch")
+    if scan.twin is not None:
+        parser.add_argument("--twin", action="store_true", help="with --trace: of its twin")
     parser.add_argument("--quick", action="store_true", help=f"{scan.quick_runs} runs")
     parser.add_argument("--json", action="store_true", help="all figures, for programs")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--data", help="not needed: everything is simulated")
     options = parser.parse_args()
     if options.run:
-        return _one(scan, options.run, traced=options.trace)
+        return _one(scan, options.run, traced=options.trace, twin=getattr(options, "twin", False))
     try:
         only = only_of(scan, options.only)
     except ValueError as error:
@@ -281,7 +293,7 @@ def main(scan: Scan, text: str | None) -> int:
     found = measured(scan, options.seed, options.runs or (scan.quick_runs if options.quick else scan.runs), only, options.jobs)
     if options.json:
         figures_of_all = {"factors": by_factor(scan, found), "pairs": by_pairs(scan, found), "replays": list(replays(scan, found))}
-        lists = {"odd": list(odd_runs(scan, found)), "losses": list(losses(scan, found))}
+        lists = {"odd": list(odd_runs(scan, found)), "losses": list(losses(scan, found)), "twins": list(wrong_twins(scan, found))}
         print(json.dumps({"seed": options.seed} | figures_of_all | lists))
     else:
         _report(scan, options.seed, found)

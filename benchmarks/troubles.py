@@ -2,13 +2,13 @@
 """Which faults and surroundings, alone and together, make the engine wrong? The drawn configurations of modes.py, with troubles on top.
 
   troubles.py [--runs N] [--seed S] [--only FACTOR=LEVEL|LEVEL,...] [--quick] [--json] [--jobs N]
-  troubles.py --run SEED:K [--trace]        one run again
+  troubles.py --run SEED:K [--trace [--twin]]        one run again, or its twin
 
 Every run draws a configuration as modes.py does and one to three troubles (TROUBLES, each with its own draws); it is 60 s long. Its twin
 is the same without them: same place, time and receivers. Tables and columns as those of modes.py; beside them the right fixes of the twins,
-and the runs that never have one though their twin does. Listed with their commands: runs with wrong fixes, runs in which something is that
-must never be (exceptions, values that are no numbers, times that do not rise), and runs with far fewer right fixes than their twins, which
-troubles may explain.
+and the runs that never have one though their twin does. Listed with their commands: runs and twins with wrong fixes, runs in which
+something is that must never be (exceptions, values that are no numbers, times that do not rise), and runs with far fewer right fixes than
+their twins, which troubles may explain.
 
 Vehicles with two antennas stand in streets; where they have no use for what a base says (its place, late epochs), it has gaps.
 """

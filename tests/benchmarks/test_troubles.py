@@ -183,6 +183,20 @@ def test_a_run_without_fixes_is_held_against_its_twin(benchmarks: SimpleNamespac
     assert [line.partition(": ")[0] for line in scan.losses(troubles.SCAN, [worse, same])] == ["  0.0 % right, 100.0 of the twin"]
 
 
+def test_a_twin_with_wrong_fixes_is_told(benchmarks: SimpleNamespace, capsys: pytest.CaptureFixture[str]):
+    """It has a command of its own, that shows the run without its troubles."""
+    scan, troubles = benchmarks.scan, benchmarks.troubles
+    judged = benchmarks.simulated.Judged(np.ones(10, np.int64), np.ones((10, 3)), np.ones(10), np.ones(10, np.bool_), np.zeros(10))
+    wrong = benchmarks.campaign.outcome("1:0", 0, judged)
+    assert list(scan.wrong_twins(troubles.SCAN, [scan.Measured(0, troubles.levels_of_run(1, 0), wrong)])) == []
+    told = next(scan.wrong_twins(troubles.SCAN, [scan.Measured(0, troubles.levels_of_run(1, 0), wrong, (), wrong)]))
+    assert told.startswith("  10 wrong of   10,  10.0 s, worst   1.73 m: troubles.py --run 1:0 --twin --trace ")
+    run = next(scan.picked(troubles.SCAN, 1, {"codes": frozenset(("step",)), "rate": frozenset(("1",))}))
+    for twin, faults in ((False, 1), (True, 0)):
+        scan._one(troubles.SCAN, f"1:{run}", traced=True, twin=twin)
+        assert capsys.readouterr().out.count("fault of the rover") == faults
+
+
 def test_a_twin_ends_before_what_a_run_crosses(benchmarks: SimpleNamespace):
     """The end of the week is in the middle of the run, its twin is a minute before it."""
     scan, troubles = benchmarks.scan, benchmarks.troubles
