@@ -12,9 +12,9 @@ from rtkmesh.simulation.classes import F9P, M8, SURVEY, moving
 from rtkmesh.simulation.faults import Disturbance
 from rtkmesh.simulation.receiver import Observed, ReceiverOptions
 from rtkmesh.simulation.sky import absolute_s
-from rtkmesh.simulation.surroundings import city, forest
+from rtkmesh.simulation.surroundings import Surroundings, city, forest
 from rtkmesh.simulation.trajectories import Trajectory, boat, driving, static, streets, walking
-from simulated import Faults, Offset, Outage, Setup, slopes_of_two_makes_m
+from simulated import Arrivals, Faults, Offset, Outage, Setup, slopes_of_two_makes_m
 
 Random = np.random.Generator
 
@@ -72,22 +72,41 @@ def _open_dual(rng: Random) -> Setup:
     return _open(rng, F9P if rng.random() < 0.5 else SURVEY)
 
 
-def _urban(rng: Random) -> Setup:
-    """A car in streets of 20 m between houses of 8 to 40 m; the receiver slips where signals are weak and misses some of it."""
-    noise = F9P.signals._replace(weak_slips_per_hour=60.0, untold_share=0.05)
-    houses = city(int(rng.integers(2**31)), float(rng.uniform(8.0, 40.0)))
-    run = _open(rng, replace(F9P, signals=noise), seconds=_LONG, motion=(streets, 8.0))
-    return replace(run, surroundings=houses, base_enu_m=base_place(rng, 300.0, 3000.0))
+def houses(rng: Random) -> Surroundings:
+    """Return streets of 20 m between houses of 8 to 40 m."""
+    return city(int(rng.integers(2**31)), float(rng.uniform(8.0, 40.0)))
 
 
-def _forest(rng: Random) -> Setup:
-    """A walk under trees, from light to dense; fast fading, many slips, half cycles."""
-    noise = F9P.signals._replace(
+def trees(rng: Random) -> Surroundings:
+    """Return a stand of trees, from light to dense."""
+    return forest(int(rng.integers(2**31)), float(rng.uniform(0.2, 1.0)))
+
+
+def in_streets(receiver: ReceiverOptions) -> ReceiverOptions:
+    """Return a receiver that slips where signals are weak and misses some of it."""
+    return replace(receiver, signals=receiver.signals._replace(weak_slips_per_hour=60.0, untold_share=0.05))
+
+
+def in_forest(receiver: ReceiverOptions) -> ReceiverOptions:
+    """Return a receiver with fast fading, many slips, half cycles."""
+    noise = receiver.signals._replace(
         fading_sigma_db=3.0, fading_time_s=1.0, slips_per_hour=20.0, weak_slips_per_hour=120.0, untold_share=0.05,
         half_cycle_share=0.5,
     )  # fmt: skip
-    trees = forest(int(rng.integers(2**31)), float(rng.uniform(0.2, 1.0)))
-    return replace(_open(rng, replace(F9P, signals=noise), seconds=_LONG, motion=(walking, 11.0)), surroundings=trees)
+    return replace(receiver, signals=noise)
+
+
+def _urban(rng: Random) -> Setup:
+    """A car in streets."""
+    around = houses(rng)
+    run = _open(rng, in_streets(F9P), seconds=_LONG, motion=(streets, 8.0))
+    return replace(run, surroundings=around, base_enu_m=base_place(rng, 300.0, 3000.0))
+
+
+def _forest(rng: Random) -> Setup:
+    """A walk under trees."""
+    around = trees(rng)
+    return replace(_open(rng, in_forest(F9P), seconds=_LONG, motion=(walking, 11.0)), surroundings=around)
 
 
 # --- faults of single satellites ---
@@ -99,33 +118,35 @@ def _signals_in_view(observed: Observed, lowest_rad: float = radians(20.0)) -> l
     return list(zip(observed.epoch.satellite[high].tolist(), observed.epoch.signal[high].tolist(), strict=True))
 
 
-def _slips_on(rng: Random, observed: Sequence[Observed]) -> list[Disturbance]:
-    """Return one to four slips of 1 to 3 cycles that nobody tells, each on one band or on all bands of a satellite."""
+def slips_on(rng: Random, observed: Sequence[Observed], unit_cyc: float = 1.0) -> list[Disturbance]:
+    """Return up to four slips of 1 to 3 cycles, or of so many parts of one, that nobody tells, on one or all bands of a satellite each."""
     found: list[Disturbance] = []
     for _ in range(int(rng.integers(1, 5))):
         at = observed[int(rng.integers(_SETTLED_S, len(observed) - 5))]
         rows = _signals_in_view(at)
+        if not rows:
+            continue
         satellite, signal = rows[int(rng.integers(len(rows)))]
-        size = float(rng.integers(1, 4)) * (1.0 if rng.random() < 0.5 else -1.0)
+        size = unit_cyc * float(rng.integers(1, 4)) * (1.0 if rng.random() < 0.5 else -1.0)
         both = rng.random() < 0.5
         found.append(Disturbance(satellite, None if both else signal, absolute_s(at.epoch.time), phase_cyc=size))
     return found
 
 
-def _rover_slips(rng: Random, rover: Sequence[Observed], _base: Sequence[Observed]) -> tuple[list[Disturbance], list[Disturbance]]:
-    return _slips_on(rng, rover), []
+def rover_slips(rng: Random, rover: Sequence[Observed], _base: Sequence[Observed]) -> tuple[list[Disturbance], list[Disturbance]]:
+    return slips_on(rng, rover), []
 
 
-def _base_slips(rng: Random, _rover: Sequence[Observed], base: Sequence[Observed]) -> tuple[list[Disturbance], list[Disturbance]]:
-    return [], _slips_on(rng, base)
+def base_slips(rng: Random, _rover: Sequence[Observed], base: Sequence[Observed]) -> tuple[list[Disturbance], list[Disturbance]]:
+    return [], slips_on(rng, base)
 
 
-def _bad_codes(count: int, lowest_m: float, highest_m: float, lowest_mps: float = 0.0, highest_mps: float = 0.0) -> Faults:
+def bad_codes(count: int, lowest_m: float, highest_m: float, lowest_mps: float = 0.0, highest_mps: float = 0.0) -> Faults:
     """Return faults of ``count`` satellites' codes at once, of all bands: a step, a ramp; in half of the runs from the first epoch on."""
 
     def faults(rng: Random, rover: Sequence[Observed], _base: Sequence[Observed]) -> tuple[list[Disturbance], list[Disturbance]]:
         at = rover[0 if rng.random() < 0.5 else int(rng.integers(_SETTLED_S, len(rover) // 2))]
-        satellites = sorted({satellite for satellite, _ in _signals_in_view(at)})
+        satellites = sorted({satellite for satellite, _ in _signals_in_view(at)}) or [0]
         bad = rng.choice(satellites, min(count, len(satellites)), replace=False).tolist()
         start_s = absolute_s(at.epoch.time)
         signs = [1.0 if rng.random() < 0.5 else -1.0 for _ in bad]
@@ -168,31 +189,48 @@ def _dive(rng: Random) -> Setup:
 # --- faults of the base ---
 
 
+def late(age: int) -> Arrivals:
+    """Return the arrivals of a base whose epochs come so many seconds late."""
+    return lambda k: (k - age,)
+
+
+def thinned(interval: int) -> Arrivals:
+    """Return the arrivals of a base that sends every so many seconds."""
+    return lambda k: (k,) if k % interval == 0 else ()
+
+
 def _base_age(rng: Random) -> Setup:
     """Base epochs come 5 to 30 s late, or every 5 to 30 s only."""
     age = int(rng.integers(5, 31))
-    late = rng.random() < 0.5
-
-    def arrivals(k: int) -> Sequence[int]:
-        return (k - age,) if late else (k,) if k % age == 0 else ()
-
+    arrivals = late(age) if rng.random() < 0.5 else thinned(age)
     return replace(_open(rng, F9P), arrivals=arrivals)
 
 
-def _base_gaps(rng: Random) -> Setup:
-    """A third of the base epochs is lost, and one stretch of up to 20 s."""
-    lost = rng.random(_OPEN) < 1.0 / 3.0
-    begin = int(rng.integers(_SETTLED_S, 60))
+def gaps(rng: Random, seconds: int, latest: int) -> Arrivals:
+    """Return the arrivals of a base of whose epochs a third is lost, and one stretch of up to 20 s that begins by ``latest`` (s)."""
+    lost = rng.random(seconds) < 1.0 / 3.0
+    begin = int(rng.integers(_SETTLED_S, latest))
     lost[begin : begin + int(rng.integers(2, 21))] = True
-    return replace(_open(rng, F9P), arrivals=lambda k: () if lost[k] else (k,))
+    return lambda k: () if lost[k] else (k,)
 
 
-def _shift(rng: Random) -> Setup:
-    """The base tells another position from some epoch on: 1 cm to 10 m off, as after a new survey."""
+def _base_gaps(rng: Random) -> Setup:
+    arrivals = gaps(rng, _OPEN, 60)
+    return replace(_open(rng, F9P), arrivals=arrivals)
+
+
+def shift_enu_m(rng: Random) -> Offset:
+    """Return how far another position is that a base tells: 1 cm to 10 m off, as after a new survey."""
     size_m = float(np.exp(rng.uniform(np.log(0.01), np.log(10.0))))
     direction = rng.standard_normal(3)
     east, north, up = (size_m * direction / np.linalg.norm(direction)).tolist()
-    return replace(_open(rng, F9P), shift_at=int(rng.integers(_SETTLED_S, 70)), shift_enu_m=(east, north, up))
+    return east, north, up
+
+
+def _shift(rng: Random) -> Setup:
+    """The base tells another position from some epoch on."""
+    off_m = shift_enu_m(rng)
+    return replace(_open(rng, F9P), shift_at=int(rng.integers(_SETTLED_S, 70)), shift_enu_m=off_m)
 
 
 # --- other geometries ---
@@ -227,13 +265,13 @@ FAMILIES: Final = (
     Family("open_m8_l1", "open sky, one band, M8 class (G, R)", lambda rng: _open(rng, M8, frequencies=1, seconds=_LONG)),
     Family("urban", "streets between houses", _urban),
     Family("forest", "walk under trees", _forest),
-    Family("slips", "untold slips of 1 to 3 cycles, rover", lambda rng: replace(_open(rng, F9P), faults=_rover_slips)),
+    Family("slips", "untold slips of 1 to 3 cycles, rover", lambda rng: replace(_open(rng, F9P), faults=rover_slips)),
     Family(
         "slips_l1",
         "the same on one band",
-        lambda rng: replace(_open(rng, F9P, frequencies=1), faults=_rover_slips),
+        lambda rng: replace(_open(rng, F9P, frequencies=1), faults=rover_slips),
     ),
-    Family("base_slips", "untold slips, base", lambda rng: replace(_open(rng, F9P), faults=_base_slips)),
+    Family("base_slips", "untold slips, base", lambda rng: replace(_open(rng, F9P), faults=base_slips)),
     Family("tunnel", "tunnels of 3 to 30 s", _tunnel),
     Family("dive", "dives of 10 to 120 s", _dive),
     Family("dive_told", "the same, session restarted at surfacing", lambda rng: replace(_dive(rng), told_restarts=True)),
@@ -241,9 +279,9 @@ FAMILIES: Final = (
     Family("base_gaps", "base epochs lost", _base_gaps),
     Family("base_restart", "base dead for 10 s, then cold", lambda rng: replace(_open(rng, F9P), restart_at=int(rng.integers(20, 60)))),
     Family("base_shift", "base tells another position", _shift),
-    Family("code_step", "one satellite's codes 30 m off", _with_bad_codes(_bad_codes(1, 30.0, 30.0))),
-    Family("code_ramp", "one satellite's codes drift", _with_bad_codes(_bad_codes(1, 0.0, 0.0, 0.1, 2.0))),
-    Family("two_bad", "two satellites' codes off at once", _with_bad_codes(_bad_codes(2, 5.0, 40.0))),
+    Family("code_step", "one satellite's codes 30 m off", _with_bad_codes(bad_codes(1, 30.0, 30.0))),
+    Family("code_ramp", "one satellite's codes drift", _with_bad_codes(bad_codes(1, 0.0, 0.0, 0.1, 2.0))),
+    Family("two_bad", "two satellites' codes off at once", _with_bad_codes(bad_codes(2, 5.0, 40.0))),
     Family("km7", "7 km", _far(7e3)),
     Family("km10", "10 km", _far(10e3)),
     Family("km35", "35 km", _far(35e3)),

@@ -53,6 +53,7 @@ BENCHMARKS = (
     Benchmark("modes", "modes.py", "Drawn configurations: where the engine is wrong", ("--quick",), recordings=False),
     Benchmark("stations", "stations.py", "Permanent stations 20 to 50 km apart for hours", ("--quick",), recordings=False),
     Benchmark("peers", "peers.py", "Runs of the campaign beside RTKLIB b34 and demo5", ("--quick",), recordings=False),
+    Benchmark("troubles", "troubles.py", "Drawn surroundings and faults: where the engine is wrong", ("--quick",), recordings=False),
     Benchmark("dive", "dive.py", "After dives, RTKLIB on the same bytes", ("--quick",), recordings=False),
     Benchmark("directions", "directions.py", "Forward, backward and combined, beside RTKLIB's", ("--quick",)),
     Benchmark("thin_base", "thin_base.py", "A base every 5 to 30 s, interpolated or not, beside RTKLIB's", ("--quick",)),

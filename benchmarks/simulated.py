@@ -4,7 +4,7 @@ Observations go into the session as they are, without their encoding: bytes are 
 clock that the run advances: what arrives late is late.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import pi, radians
@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh.gnss.ephemeris import ReferenceStation
+from rtkmesh.gnss.ephemeris import Ephemeris, KlobucharParameters, ReferenceStation
 from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import Mode, RtkOptions
@@ -29,6 +29,9 @@ from rtkmesh.simulation.trajectories import AntennaPath, Pose, Site, Trajectory,
 
 Vector = NDArray[np.float64]
 Offset = tuple[float, float, float]
+Arrivals = Callable[[int], Sequence[int]]
+Sent = tuple[float, Ephemeris]  # an ephemeris and the second of the run in which it arrives
+Navigation = Callable[[int, GpsTime, int], Iterable[Sent]]  # of a satellite, of a run that begins then and lasts so many seconds
 Faults = Callable[[np.random.Generator, Sequence[Observed], Sequence[Observed]], tuple[list[Disturbance], list[Disturbance]]]
 
 WRONG_M: Final = 0.15
@@ -37,11 +40,23 @@ _BASE_DELAY_S: Final = 0.15  # of a base epoch behind the rover's, as over a rad
 _WAIT_S: Final = 0.9
 _NEVER_AGAIN_S: Final = 1e9
 _FIRST: Final = GpsTime(2445, 0.0)
+_SPEEDS_UP_S: Final = 4.0
 _WEEK_S: Final = 604800
 _SLOPE_M: Final = 0.02  # sigma of GLONASS delays per channel between receivers of two makes; our choice
 # Sigma of what those of the two bands differ by. Delays of one origin are alike on both in metres (Sleewaegen et al. 2012, Inside GNSS
 # 7(3):52-61); recorded pairs differ by 0.4 and 1.2 mm.
 _SLOPES_APART_M: Final = 0.003
+
+
+def known_before(satellite: int, start: GpsTime, seconds: int) -> Iterator[Sent]:
+    """Yield the ephemerides that a satellite broadcasts at the start and at the end of a run, both known before it."""
+    for time in (start, start + float(seconds)):
+        yield 0.0, broadcast(satellite, time)
+
+
+def in_order(k: int) -> Sequence[int]:
+    """Let everything arrive when it should."""
+    return (k,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +74,12 @@ class Setup:
 
     The rover has ``rate_hz`` epochs in each of its ``seconds``, the base ``base_rate_hz`` (0: as many). ``base_enu_m``: place of the base
     at the site or, with ``base_moves``, its lever arm on the rover's vehicle. ``arrivals(k)``: the base epochs of which seconds reach the
-    solver in second k. From second ``restart_at`` on the base is dead for ``restart_gap`` seconds and comes back cold. From second
-    ``shift_at`` on the base tells a position that is ``shift_enu_m`` off. ``told_restarts``: the session is restarted at the end of every
-    outage, as by the command.
+    solver in second k; ``rover_arrivals(k)``: which epochs of the rover when its epoch k should. From second ``restart_at`` on the base is
+    dead for ``restart_gap`` seconds and comes back cold, from ``rover_restart_at`` on the rover. From second ``shift_at`` on the base tells
+    a position that is ``shift_enu_m`` off. ``told_restarts``: the session is restarted at the end of every outage, as by the command.
+    ``jumps_at``: seconds at which the clocks of rover and base jump by a millisecond (None: when they would). ``crosses``: in this second
+    of the run is a multiple of so many seconds of the week (None: a run begins at any time). ``navigation``: which ephemerides arrive when.
+    The vehicle stands for ``stands_s`` before it moves.
     """
 
     seconds: int
@@ -77,12 +95,18 @@ class Setup:
     surroundings: Surroundings | None = None
     activity: float = 1.0
     faults: Faults | None = None
-    arrivals: Callable[[int], Sequence[int]] = lambda k: (k,)
+    arrivals: Arrivals = in_order
+    rover_arrivals: Arrivals = in_order
+    rover_restart_at: int | None = None
     restart_at: int | None = None
     restart_gap: int = 10
     shift_at: int | None = None
     shift_enu_m: Offset = (0.0, 0.0, 0.0)
     told_restarts: bool = False
+    jumps_at: tuple[int | None, int | None] = (None, None)
+    crosses: tuple[int, int] | None = None
+    stands_s: float = 0.0
+    navigation: Navigation = known_before
 
     @property
     def epochs(self) -> int:
@@ -128,19 +152,20 @@ def slopes_of_two_makes_m(rng: np.random.Generator) -> tuple[float, float]:
 def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
     """Return a run at a random place and time of the week; every random number is ``rng``'s."""
     seed = int(rng.integers(2**31))
-    start = _FIRST + float(rng.integers(_WEEK_S))
+    start = _start(setup, _FIRST + float(rng.integers(_WEEK_S)))
     site = Site(radians(float(rng.uniform(-60.0, 60.0))), radians(float(rng.uniform(-180.0, 180.0))), float(rng.uniform(0.0, 500.0)))
     delay_s = absolute_s(start) - float(rng.uniform(0.0, 300.0))
 
     def begun(time_s: float) -> Pose:
-        return setup.trajectory(time_s - delay_s)
+        return setup.trajectory(_in_motion_s(time_s, absolute_s(start), setup.stands_s) - delay_s)
 
     windows = tuple(Window(_NEVER_AGAIN_S, absolute_s(start) + o.start_s, o.duration_s, o.below_rad) for o in setup.outages)
     rover_path = AntennaPath(site, begun, (0.0, 0.0, -1.5))
     base_path = AntennaPath(site, begun if setup.base_moves else None, setup.base_enu_m)
-    rover = Receiver("rover", rover_path, seed, setup.rover, windows, setup.surroundings, setup.activity)
-    seen = [rover.observe(start + k / setup.rate_hz) for k in range(setup.epochs)]
-    base = _base(setup, base_path, seed, start, windows if setup.base_moves else ())
+    on_vehicle = windows, setup.surroundings
+    seen = [_or_silent(o) for o in _observed(setup, "rover", rover_path, seed, start, on_vehicle)]
+    around_base = on_vehicle if setup.base_moves else ((), None)
+    base = [None if dead else o for o, dead in _observed(setup, "base", base_path, seed, start, around_base)]
     base_ecef_m = base_path.position_ecef_m(absolute_s(start))
     if setup.base_moves:
         tags_s = [absolute_s(o.epoch.time) for o in seen]
@@ -156,44 +181,84 @@ def simulate(setup: Setup, rng: np.random.Generator) -> Simulated:
     )  # fmt: skip
 
 
-def _base(setup: Setup, path: AntennaPath, seed: int, start: GpsTime, windows: tuple[Window, ...]) -> list[Observed | None]:
-    """Return what the base observes, with its restart."""
-    receiver, out = Receiver("base", path, seed, setup.base, windows, None, setup.activity), list[Observed | None]()
-    for k in range(setup.seconds * setup.base_hz):
-        time_s = k / setup.base_hz
-        if setup.restart_at is not None and setup.restart_at <= time_s < setup.restart_at + setup.restart_gap:
-            out.append(None)
-            continue
-        if setup.restart_at is not None and time_s == setup.restart_at + setup.restart_gap:
-            cold = replace(setup.base, warm=False)
-            receiver = Receiver("base, restarted", path, seed, cold, windows, None, setup.activity)
-        out.append(receiver.observe(start + time_s))
-    return out
+def _in_motion_s(time_s: float, start_s: float, stands_s: float) -> float:
+    """Return the time of a vehicle that first stands: it stops, and gathers speed again in _SPEEDS_UP_S."""
+    since_s = time_s - start_s - stands_s
+    if not stands_s:
+        return time_s
+    return start_s + (since_s - 0.5 * _SPEEDS_UP_S if since_s >= _SPEEDS_UP_S else 0.5 * max(since_s, 0.0) ** 2 / _SPEEDS_UP_S)
+
+
+def _start(setup: Setup, drawn: GpsTime) -> GpsTime:
+    """Return when a run begins: at a drawn time, or as near to it as lets it cross what it must."""
+    if setup.crosses is None:
+        return drawn
+    at_s, every_s = setup.crosses
+    return GpsTime.normalized(drawn.week, -(-drawn.tow_s // every_s) * every_s - at_s)
+
+
+def _observed(
+    setup: Setup, name: str, path: AntennaPath, seed: int, start: GpsTime, around: tuple[tuple[Window, ...], Surroundings | None]
+) -> Iterator[tuple[Observed, bool]]:
+    """Yield what a receiver observes, with its restart, and whether it is dead then."""
+    is_base = name == "base"
+    options, rate_hz = (setup.base, setup.base_hz) if is_base else (setup.rover, setup.rate_hz)
+    jump, restart_at = setup.jumps_at[is_base], setup.restart_at if is_base else setup.rover_restart_at
+    options = options if jump is None else replace(options, jumps_at_s=absolute_s(start) + jump)
+    receiver = Receiver(name, path, seed, options, *around, setup.activity)
+    for k in range(setup.seconds * rate_hz):
+        time_s = k / rate_hz
+        if restart_at is not None and time_s == restart_at + setup.restart_gap:
+            receiver = Receiver(f"{name}, restarted", path, seed, replace(options, warm=False), *around, setup.activity)
+        yield receiver.observe(start + time_s), restart_at is not None and restart_at <= time_s < restart_at + setup.restart_gap
+
+
+def _or_silent(seen: tuple[Observed, bool]) -> Observed:
+    """Return what a rover observed; nothing but where it is while it is dead."""
+    observed, dead = seen
+    if not dead:
+        return observed
+    none = observed.epoch.take(np.zeros(0, np.intp))
+    columns = (getattr(observed, name)[:0] for name in ("half_cycle_subtracted", "azimuth_rad", "elevation_rad"))
+    half_cycles, azimuth_rad, elevation_rad = columns
+    return replace(observed, epoch=none, half_cycle_subtracted=half_cycles, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad)
 
 
 def solve(run: Simulated) -> list[Solution | None]:
     """Return the solution of every rover epoch (None: none came)."""
+    return by_epoch(run, solutions_of(run))
+
+
+def by_epoch(run: Simulated, solutions: Iterable[Solution]) -> list[Solution | None]:
+    """Return solutions in the order of the rover's epochs (None: none came)."""
+    place = {epoch.time: k for k, epoch in enumerate(run.rover_epochs)}
+    out: list[Solution | None] = [None] * run.setup.epochs
+    for solution in solutions:
+        out[place[solution.time]] = solution
+    return out
+
+
+def solutions_of(run: Simulated) -> Iterator[Solution]:
+    """Yield the solutions as the session gives them."""
     setup = run.setup
     session = Session(SessionOptions(setup.options, pairing_for(setup.options, replay=False, maximum_wait_s=_WAIT_S)))
-    _feed_navigation(session, run)
-    place = {epoch.time: k for k, epoch in enumerate(run.rover_epochs)}
-    out: list[Solution | None] = [None] * setup.epochs
     for now_s, event in sorted(_events(run, session), key=lambda timed: timed[0]):
         if event is not None:
             event()
             continue
-        for solution in session.solutions(now_s):
-            out[place[solution.time]] = solution
-    return out
+        yield from session.solutions(now_s)
 
 
 def _events(run: Simulated, session: Session) -> Iterator[tuple[float, Callable[[], None] | None]]:
     """Yield when what is done with a session, None where it is asked for solutions; of equal instants what is yielded first comes first."""
     setup = run.setup
+    for now_s, message in _navigation(run):
+        yield now_s, partial(session.feed, Source.NAVIGATION, message)
     for outage in setup.outages if setup.told_restarts else ():
         yield float(round(outage.start_s + outage.duration_s)), session.restart
-    for k, epoch in enumerate(run.rover_epochs):
-        yield k / setup.rate_hz, partial(session.feed, Source.ROVER, epoch, k / setup.rate_hz)
+    for k in range(setup.epochs):
+        for epoch in _sent_by_rover(run, k):
+            yield k / setup.rate_hz, partial(session.feed, Source.ROVER, epoch, k / setup.rate_hz)
     for k in range(len(run.base_epochs)):
         now_s = k / setup.base_hz + _BASE_DELAY_S
         yield now_s, partial(session.feed, Source.BASE, _told_station(run, k // setup.base_hz), now_s)
@@ -222,12 +287,21 @@ def _arriving(run: Simulated, k: int) -> Iterator[Epoch]:
             yield epoch
 
 
-def _feed_navigation(session: Session, run: Simulated) -> None:
-    """Give the ephemerides of the run, as wrong as broadcast ones are, and the ionosphere's parameters."""
-    for time in (run.start, run.start + float(run.setup.seconds)):
-        for satellite in SATELLITES.tolist():
-            session.feed(Source.NAVIGATION, with_orbit_error(broadcast(satellite, time), run.seed))
-    session.feed(Source.NAVIGATION, KLOBUCHAR)
+def _sent_by_rover(run: Simulated, k: int) -> Iterator[Epoch]:
+    """Yield the rover's epochs that arrive when its epoch k should; a receiver that is dead sends none."""
+    setup, at = run.setup, run.setup.rover_restart_at
+    for place in setup.rover_arrivals(k):
+        dead = at is not None and at <= place / setup.rate_hz < at + setup.restart_gap
+        if 0 <= place < setup.epochs and not dead:
+            yield run.rover_epochs[place]
+
+
+def _navigation(run: Simulated) -> Iterator[tuple[float, Ephemeris | KlobucharParameters]]:
+    """Yield the ephemerides of the run, as wrong as broadcast ones are, and the ionosphere's parameters."""
+    for satellite in SATELLITES.tolist():
+        for time_s, ephemeris in run.setup.navigation(satellite, run.start, run.setup.seconds):
+            yield time_s, with_orbit_error(ephemeris, run.seed)
+    yield 0.0, KLOBUCHAR
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ import pytest
 
 from rtkmesh.rtk.options import AmbiguityMode, Mode
 
-NAMES = ("modes", "simulated", "campaign")
+NAMES = ("modes", "scan", "simulated", "campaign")
 
 
 def _outcome(benchmarks: SimpleNamespace, run: int, wrong: int) -> Any:
@@ -24,40 +24,40 @@ def _outcome(benchmarks: SimpleNamespace, run: int, wrong: int) -> Any:
 def found(benchmarks: SimpleNamespace) -> list[Any]:
     """Two hundred drawn runs, of which those between antennas of a vehicle at 5 Hz are wrong for three epochs."""
 
-    def is_bad(c: Any) -> bool:
-        return bool(c.mode == "moving-base 2 m" and c.rate == "5")
+    def is_bad(levels: dict[str, str]) -> bool:
+        return levels["mode"] == "moving-base 2 m" and levels["rate"] == "5"
 
-    drawn = [(run, benchmarks.modes.configuration_of(1, run)) for run in range(200)]
-    return [(run, c, _outcome(benchmarks, run, 3 if is_bad(c) else 0)) for run, c in drawn]
+    drawn = [(run, benchmarks.modes.levels_of_run(1, run)) for run in range(200)]
+    return [benchmarks.scan.Measured(run, levels, _outcome(benchmarks, run, 3 if is_bad(levels) else 0)) for run, levels in drawn]
 
 
 def test_all_levels_are_drawn(benchmarks: SimpleNamespace):
     """A thousand runs have every level of every factor, and none that is not told."""
     modes = benchmarks.modes
-    drawn = [modes.configuration_of(3, run) for run in range(1000)]
-    for factor in modes.Configuration._fields:
-        assert {getattr(c, factor) for c in drawn} == modes.levels_of(factor)
+    drawn = [modes.levels_of_run(3, run) for run in range(1000)]
+    assert {factor: {levels[factor] for levels in drawn} for factor in modes.SCAN.levels} == modes.SCAN.levels
 
 
 def test_only_picks_runs_of_the_same_numbers(benchmarks: SimpleNamespace):
     """What is asked for is left of the runs that there are; a run is the same whether it was asked for or not."""
-    modes = benchmarks.modes
-    only = modes.only_of("mode=moving-base 2 m|static,systems=G")
-    numbers: list[int] = list(islice(modes.picked(2, only), 5))
+    modes, scan = benchmarks.modes, benchmarks.scan
+    only = scan.only_of(modes.SCAN, "mode=moving-base 2 m|static,systems=G")
+    numbers: list[int] = list(islice(scan.picked(modes.SCAN, 2, only), 5))
     fitting = [k for k in range(numbers[-1] + 1) if (c := modes.configuration_of(2, k)).systems == "G" and c.mode in only["mode"]]
     assert numbers == fitting
     with pytest.raises(ValueError, match="no level Q"):
-        modes.only_of("systems=G|Q")
+        scan.only_of(modes.SCAN, "systems=G|Q")
     with pytest.raises(ValueError, match="no factor 'system'"):
-        modes.only_of("system=G")
+        scan.only_of(modes.SCAN, "system=G")
 
 
 @pytest.mark.parametrize("mode", ["kinematic", "moving-base 2 m", "moving-base 20 m", "static", "static-start"])
 def test_setups_are_what_was_drawn(benchmarks: SimpleNamespace, mode: str):
     """Rates, systems and bands are those of the configuration; antennas of a vehicle are as far apart as the mode says, others as drawn."""
-    modes = benchmarks.modes
-    run = next(modes.picked(5, {"mode": frozenset((mode,)), "ambiguities": frozenset(("fix-and-hold",)), "rate": frozenset(("5",))}))
-    c, simulated = modes.configuration_of(5, run), modes.simulated_run(5, run)
+    modes, scan = benchmarks.modes, benchmarks.scan
+    only = {"mode": frozenset((mode,)), "ambiguities": frozenset(("fix-and-hold",)), "rate": frozenset(("5",))}
+    run = next(scan.picked(modes.SCAN, 5, only))
+    c, simulated = modes.configuration_of(5, run), scan.simulated_run(modes.SCAN, 5, run)
     setup = simulated.setup
     assert (setup.rate_hz, len(simulated.rover)) == (5, 200)
     assert (setup.options.systems, setup.options.frequencies) == (c.systems, int(c.frequencies))
@@ -72,30 +72,31 @@ def test_setups_are_what_was_drawn(benchmarks: SimpleNamespace, mode: str):
 
 def test_a_cluster_is_found(benchmarks: SimpleNamespace, found: list[Any]):
     """The pair of levels that makes runs wrong comes first, with all of its runs wrong; each has a command; other levels have none."""
-    modes = benchmarks.modes
-    name, row = next(iter(modes.by_pairs(found).items()))
+    modes, scan = benchmarks.modes, benchmarks.scan
+    name, row = next(iter(scan.by_pairs(modes.SCAN, found).items()))
     assert name == "mode moving-base 2 m, rate 5"
     assert row["runs_with_wrong_pct"] == 100.0
-    assert modes.row_of([m for m in found if m[1].rate == "1"])["wrong_fixes"] == 0
-    bad = [m for m in found if m[2].wrong]
-    commands: list[str] = list(modes.replays(found))
+    assert scan.row_of([m for m in found if m.levels["rate"] == "1"])["wrong_fixes"] == 0
+    bad = [m for m in found if m.outcome.wrong]
+    commands: list[str] = list(scan.replays(modes.SCAN, found))
     assert len(commands) == len(bad) > 2
-    assert f"modes.py --run 1:{bad[0][0]} --trace" in commands[0]
+    assert f"modes.py --run 1:{bad[0].run} --trace" in commands[0]
 
 
 def test_runs_without_integers_count_for_the_last_column_alone(benchmarks: SimpleNamespace, found: list[Any]):
     """Their epochs are no chances for a fix."""
-    modes = benchmarks.modes
-    off = [m for m in found if m[1].ambiguities == "off"]
-    row = modes.row_of(found)
+    scan = benchmarks.scan
+    off = [m for m in found if m.levels["ambiguities"] == "off"]
+    row = scan.row_of(found)
     assert row["runs"] == len(found) - len(off) < len(found)
-    assert "runs" not in modes.row_of(off)
+    assert "runs" not in scan.row_of(off)
 
 
 def test_an_easy_run_is_right(benchmarks: SimpleNamespace):
     """All systems on two bands, a survey receiver: fixes from the first epoch on, none wrong; the table has a line of it."""
-    modes = benchmarks.modes
-    only = modes.only_of("mode=kinematic,systems=GREC,frequencies=2,rate=1,receiver=SURVEY,ambiguities=continuous,distance=50 m to 500 m")
-    run, c, outcome = modes.measure(1, next(modes.picked(1, only)))
-    assert (outcome.fixes, outcome.wrong, outcome.first_right_s) == (40, 0, 0.0)
-    assert "| easy | 1 | 40 | 100.0 | 100.0 | 0 |" in modes.page({"easy": modes.row_of([(run, c, outcome)])})
+    modes, scan = benchmarks.modes, benchmarks.scan
+    levels = "mode=kinematic,systems=GREC,frequencies=2,rate=1,receiver=SURVEY,ambiguities=continuous,distance=50 m to 500 m"
+    run = next(scan.picked(modes.SCAN, 1, scan.only_of(modes.SCAN, levels)))
+    found = scan.measure(modes.SCAN, 1, run)
+    assert (found.outcome.fixes, found.outcome.wrong, found.outcome.first_right_s, found.odd) == (40, 0, 0.0, ())
+    assert "| easy | 1 | 40 | 100.0 | 100.0 | 0 |" in scan.page(modes.SCAN, {"easy": scan.row_of([found])})

@@ -99,6 +99,20 @@ def test_the_velocity_behind_a_moving_base_counts_the_dopplers_of_the_base_once(
     assert scaled == pytest.approx(0.1 * covariance_of_sum(P, told[0], told[1], (1.0, 1.0)), rel=1e-9)
 
 
+def test_a_filter_takes_no_more_than_all_of_its_dopplers():
+    """Its own covariance may be larger than theirs, in some directions or in all: that of the sum is one all the same, and where it is as
+    large as theirs, what is left is the rover's own velocity.
+    """
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        roots = rng.normal(size=(3, 3, 3))
+        P, rover, base = (root @ root.T for root in roots)
+        told: Any = [SimpleNamespace(velocity_cov_m2ps2=part) for part in (rover, base)]
+        for factors in ((1.0, 1.0), (0.05, 1.0), (1.0, 0.05)):
+            assert np.linalg.eigvalsh(covariance_of_sum(P, told[0], told[1], factors))[0] > 0.0
+        assert covariance_of_sum(rover + base, told[0], told[1], (1.0, 1.0)) == pytest.approx(rover, abs=1e-9)
+
+
 def test_without_dopplers_of_the_rover_both_velocities_have_nothing_in_common():
     """Their covariances add."""
     P, base = np.diag([1.0, 2.0, 3.0]), np.diag([0.1, 0.2, 0.3])

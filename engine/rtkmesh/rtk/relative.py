@@ -393,7 +393,10 @@ def _note_walk(known: Known, arranged: Arranged, model_ecef_m: Vector, slip: Sli
 
 @kernel_in_place
 def predict_fix(known: Known, arranged: Arranged, model_ecef_m: Vector, base_moves: bool) -> None:
-    """Carry the last fix on by the motion that the phases show; where these are too few or contradict the Dopplers, by that of these."""
+    """Carry the last fix on by the motion that the phases show; where these are too few or contradict the Dopplers, by that of these.
+
+    A rover that stands is where it was, however long nothing was seen, unless its base is said to be elsewhere since.
+    """
     last, velocity, dt = known.prediction, known.velocity_mps, known.times_s[0] - known.times_s[2]
     cov, by_phase, by_doppler, apart_m = arranged.motion_cov_m2, scratch(3), scratch(3), 0.0
     for i in range(3):
@@ -408,6 +411,8 @@ def predict_fix(known: Known, arranged: Arranged, model_ecef_m: Vector, base_mov
         for i in range(3):
             last[i] += by_phase[i]
         spread(last, sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2]), known.memory[SHARE])
+    elif known.stands and isfinite(known.times_s[3]):
+        return
     elif heard:
         for i in range(3):
             last[i] += by_doppler[i]

@@ -235,8 +235,20 @@ def covariance_of_sum(P: Matrix, single: Located, base: Located, factors: tuple[
     if not isfinite(D[0, 0]):
         return P + B
     relative = P * (np.trace(D + B) / np.trace(single.velocity_cov_m2ps2 + base.velocity_cov_m2ps2))
-    common = relative @ np.linalg.solve(D + B, B)
+    common = _taken(relative, D + B) @ B
     return relative + B - common - common.T
+
+
+def _taken(P: Matrix, D: Matrix) -> Matrix:
+    """Return the part that a filter of covariance P has taken of a velocity of covariance D: P D^-1, but in no direction more than all.
+
+    P is larger than D where the filter gave it less weight: what contradicts the prediction, and what lasts (``velocity``). Were more than
+    all taken, variances of sums could be negative. In the axes in which D is the identity and P diagonal, what is taken is diagonal too.
+    """
+    whitened = np.linalg.inv(np.linalg.cholesky(D))
+    shares, axes = np.linalg.eigh(whitened @ P @ whitened.T)
+    back = axes.T @ whitened
+    return D @ (back.T * np.minimum(shares, 1.0)) @ back
 
 
 @kernel_in_place

@@ -50,3 +50,13 @@ def with_orbit_error(ephemeris: Ephemeris, seed: int) -> Ephemeris:
         return replace(ephemeris, position_m=(x + 1.5 * along, y + 1.5 * across, z + 1.5 * out))
     radius_m = ephemeris.sqrt_a**2
     return replace(ephemeris, m0_rad=ephemeris.m0_rad + along / radius_m, omega0_rad=ephemeris.omega0_rad + across / radius_m)
+
+
+def with_wrong_orbit(ephemeris: Ephemeris, along_m: float) -> Ephemeris:
+    """Return an ephemeris whose satellite is so far ahead on its orbit, as after a manoeuvre that it does not know of."""
+    if isinstance(ephemeris, GlonassEphemeris):
+        x, y, z = (
+            np.array(ephemeris.position_m) + along_m * np.array(ephemeris.velocity_mps) / np.linalg.norm(ephemeris.velocity_mps)
+        ).tolist()
+        return replace(ephemeris, position_m=(x, y, z))
+    return replace(ephemeris, m0_rad=ephemeris.m0_rad + along_m / ephemeris.sqrt_a**2)

@@ -66,6 +66,7 @@ class ReceiverOptions:
     elevation_mask_rad: float = 0.12
     clock_drift: float = 3e-7  # s/s; the reading is kept within half a millisecond by jumps of one
     steered: bool = False  # the clock is held near GPS time instead
+    jumps_at_s: float | None = None  # s from the sky's REFERENCE: one of the jumps comes then; None: whenever the drift brings it
     warm: bool = True  # at the first epoch everything in view is tracked already
     systems: str = "GREC"
     frequencies: int = SLOTS
@@ -125,10 +126,13 @@ def _epoch_of(tag: GpsTime, measured: Measured, count: int) -> tuple[Epoch, NDAr
 class ReceiverClock:
     """Offset of a receiver's clock as a closed form of time: drift, a slow wander and jumps of a millisecond, or held near zero."""
 
-    def __init__(self, drift: float, *, steered: bool, rng: np.random.Generator) -> None:
+    def __init__(self, drift: float, *, steered: bool, rng: np.random.Generator, jumps_at_s: float | None = None) -> None:
         self._drift = 0.0 if steered else drift
         self._start_s = 0.0 if steered else float(rng.uniform(-0.4e-3, 0.4e-3))
         self._phase = float(rng.uniform(0.0, 2.0 * pi))
+        if jumps_at_s is not None and not steered:
+            wander_s = _WANDER_S * sin(2.0 * pi * jumps_at_s / _WANDER_PERIOD_S + self._phase)
+            self._start_s = 0.5 * _MILLISECOND_S - drift * jumps_at_s - wander_s
 
     def offset(self, time_s: float) -> tuple[float, float, int]:
         """Return reading minus GPS time (s), its rate (s/s), and how many jumps there were before."""
@@ -154,7 +158,7 @@ class Receiver:
         self._path, self._options, self._windows, self._surroundings = path, options, windows, surroundings
         self._sky, self._atmosphere = Sky(), Atmosphere(seed, activity)
         rng = np.random.default_rng((*self._key, 1))
-        self.clock = clock or ReceiverClock(options.clock_drift, steered=options.steered, rng=rng)
+        self.clock = clock or ReceiverClock(options.clock_drift, steered=options.steered, rng=rng, jumps_at_s=options.jumps_at_s)
         code_biases_m = rng.normal(0.0, 1.0, (MAX_SATELLITE // SATELLITES_PER_SYSTEM, SLOTS))
         phase_biases_cyc = rng.uniform(0.0, 1.0, code_biases_m.shape)
         n = len(SATELLITES)
