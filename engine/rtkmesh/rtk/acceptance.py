@@ -45,9 +45,6 @@ WEAK_STREAK_S: Final = 30.0  # with few ambiguities: code multipath must have ch
 FAR_M: Final = 10e3
 FAR_COUNT: Final = 13
 FAR_STREAK_S: Final = 300.0
-# Five integers leave one degree of freedom beside the place, and the atmosphere takes it: of simulated stations 48 km apart (12 pairs, six
-# hours) 58 of 410 wrong fixes were of such beginnings, up to 0.9 m off, and one of 5000 right ones.
-FAR_LEAST: Final = 6
 STRONG_COUNT: Final = 20  # with so many ambiguities that fit, ACCEPT_MANY is enough: their norm is a test in itself
 ACCEPT_MANY: Final = 5.5
 SURE: Final = 8.0  # log odds from which a new fix is shown at once, like one that fits well; others must be confirmed
@@ -177,7 +174,7 @@ def _is_likely(answer: Answer, space: float, far2: float, memory: Vector, setup:
 def _stands(q: Question, answer: Answer, strong: bool, space: float, far2: float, memory: Vector, setup: ResolveSetup) -> bool:
     """Return whether integers fit, could show that one of them is wrong, and nothing at hand says otherwise."""
     found = answer.search
-    if found.norm > NORM_LIMIT * len(found.pairs) or (far2 > 1.0 and len(found.pairs) < FAR_LEAST):
+    if found.norm > NORM_LIMIT * len(found.pairs):
         return False
     if q.reflected and far2 <= 1.0 and are_bare(q.f, found.pairs):
         return False  # elsewhere GLONASS, or another system, may be found by them
