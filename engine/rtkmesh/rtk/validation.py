@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_flags
 from rtkmesh.gnss.signals import GLONASS, SATELLITES_PER_SYSTEM
 from rtkmesh.models.odds import NORM_LIMIT, PRIOR_DOF, log_odds
-from rtkmesh.rtk.acceptance import FAR_M, Question, log_space, search_all, try_new
+from rtkmesh.rtk.acceptance import FAR_COUNT, FAR_M, Question, log_space, search_all, try_new
 from rtkmesh.rtk.agreement import DEPARTURE_ALONE, is_left_alone, is_unsafe, stands_alone
 from rtkmesh.rtk.ambiguity import (
     Candidates,
@@ -234,7 +234,8 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
 @kernel
 def _extends(f: Filter, free: Search, asked: float) -> bool:
     """Return whether a search that gives what is held would be believed by itself, so that its other integers are held too."""
-    return not _is_far(f) and free.odds >= asked + log_space(f) and free.norm <= EXTEND_FIT * len(free.pairs)
+    many = not _is_far(f) or len(free.pairs) >= FAR_COUNT
+    return many and free.odds >= asked + log_space(f) and free.norm <= EXTEND_FIT * len(free.pairs)
 
 
 @kernel_in_place
