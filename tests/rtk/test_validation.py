@@ -18,6 +18,7 @@ from rtkmesh.rtk.redundancy import LEAST_SATELLITES, count_satellites
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, HISTORY, INTEGER, Filter
 from rtkmesh.rtk.validation import (
     DEPARTURE_LIMIT,
+    EXTEND_FIT,
     FEW_AMBIGUITIES,
     FIX_OK,
     FIX_SIGMA_M,
@@ -25,6 +26,7 @@ from rtkmesh.rtk.validation import (
     NOT_VALID,
     STREET_SIGMA_M,
     TOO_UNCERTAIN,
+    extends,
     fix,
 )
 
@@ -295,3 +297,17 @@ def test_a_group_of_which_nothing_is_held_is_held_by_its_rounded_reference():
     assert f.history[:5, INTEGER] == pytest.approx(INTEGERS, abs=0.0)
     assert f.history[5, INTEGER] == np.rint(f.x[DYNAMIC + 5])
     assert np.diff(f.history[5:, INTEGER]) == pytest.approx(np.diff(OTHER_INTEGERS), abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("count", "odds", "near", "far"), [(5, 9.0, True, False), (12, 9.0, True, False), (13, 9.0, True, True), (20, 6.9, False, False)]
+)
+def test_beyond_10_km_few_integers_of_a_search_are_not_added(count, odds, near, far):
+    """As a new fix would not be believed from them there: the atmosphere can make them fit."""
+    pairs = np.column_stack([np.arange(count) + 1, np.zeros(count, np.int64)]) + DYNAMIC
+    for length_m, expected in ((9e3, near), (35e3, far)):
+        f = floating(INTEGERS)
+        f.x[:3] = 0.0, length_m, 0.0
+        found = searched(f, pairs, np.zeros(count))._replace(odds=odds)
+        assert extends(f, found, 7.0) == expected
+        assert not extends(f, found._replace(norm=1.01 * EXTEND_FIT * count), 7.0)

@@ -138,7 +138,7 @@ def decide(
         if not is_reflected(level) and not _is_far(f):
             hear_objections(f, candidates, len(held), memory, setup)
         _watch(f, held, free, memory, setup, prediction)
-        if memory[CONFIRMED] > confirmed and len(free.pairs) > len(held) and _extends(f, free, setup.confidence * asked_of_told):
+        if memory[CONFIRMED] > confirmed and len(free.pairs) > len(held) and extends(f, free, setup.confidence * asked_of_told):
             extend(f, free)
         held = pairs_of(held_among(f, everything))
     helped = prediction[3] <= SHARP_M and len(held) < SELF_RELIANT
@@ -232,7 +232,7 @@ def _watch(f: Filter, held: Indices, free: Search, memory: Vector, setup: Resolv
 
 
 @kernel
-def _extends(f: Filter, free: Search, asked: float) -> bool:
+def extends(f: Filter, free: Search, asked: float) -> bool:
     """Return whether a search that gives what is held would be believed by itself, so that its other integers are held too."""
     many = not _is_far(f) or len(free.pairs) >= FAR_COUNT
     return many and free.odds >= asked + log_space(f) and free.norm <= EXTEND_FIT * len(free.pairs)
