@@ -81,7 +81,7 @@ def differences(pair: Pair) -> Iterator[tuple[float, Differences]]:
             epoch.time - pair.rover[0].time,
             differences_of(
                 f, epoch.signals, base.signals, located, table.issues.channel, point.klobuchar, pair.base_ecef_m, np.zeros(2), setup
-            ),
+            )[0],
         )
 
 

@@ -54,7 +54,8 @@ def _last_float_ecef_m(km: float, *, biased: bool) -> np.ndarray:
     return found[-1].position_ecef_m
 
 
-@pytest.mark.parametrize(("km", "least_m", "most_m"), [(40.0, 0.0, 0.01), (3.0, 0.02, 1.0)])
-def test_biases_by_channel_do_not_move_a_long_baseline(km: float, least_m: float, most_m: float) -> None:
+@pytest.mark.parametrize(("km", "least_m", "most_m"), [(40.0, 0.0, 0.06), (3.0, 0.1, 1.0)])
+def test_biases_by_channel_hardly_move_a_long_baseline(km: float, least_m: float, most_m: float) -> None:
+    """Without being blurred they move it by 0.17 m. Nearer by, where they help first fixes, they count for what their residuals say."""
     moved_m = float(np.linalg.norm(_last_float_ecef_m(km, biased=True) - _last_float_ecef_m(km, biased=False)))
-    assert least_m <= moved_m <= most_m  # nearer by, where they help first fixes, they count for what their residuals say
+    assert least_m <= moved_m <= most_m

@@ -40,9 +40,9 @@ WORDS: Final = 3
 # Places in the vector of noise parameters.
 PHASE_A, PHASE_B, CODE_RATIO, COMMON_VARIANCE = range(4)
 
-# Sigma (m) that GLONASS codes get over long baselines: between receivers of two makes they are biased by channel, for as long as these run,
-# and who looks for integers for an hour averages that as if it were noise. An ionosphere would take it for its own. Simulated stations 50
-# km apart with biases of 0.5 m (benchmarks/stations.py) had integers that were wrong for half an hour.
+# Sigma (m) that GLONASS codes get over long baselines (what their residuals say of it leaves a seventh at least): between receivers of two
+# makes they are biased by channel, for as long as these run, and who looks for integers for an hour averages that as if it were noise. An
+# ionosphere would take it for its own. Simulated stations 48 km apart had integers that were wrong for half an hour by them.
 GLONASS_CODE_M: Final = 10.0
 _MOST_CYCLES = 1e12  # a phase that a receiver has counted for months; more is damage
 _C = SPEED_OF_LIGHT_MPS
