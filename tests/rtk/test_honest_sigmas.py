@@ -112,8 +112,8 @@ def test_simulated_static_mode(
     assert bounds[0] < np.mean(means) < bounds[1]
 
 
-# Recording, least share of fixes, and bounds of their mean, in the static mode. Behind them 0.992 and 0.13, 0.996 and 1.38; with the filter's
-# own covariance 0.81 (none in the last five hours) and 3.5, 0.996 and 5.7.
+# Recording, least share of fixes, and bounds of their mean, in the static mode. Behind them 0.992 and 0.13, 0.996 and 1.38; with the
+# filter's own covariance 0.81 (none in the last five hours) and 3.5, 0.996 and 5.7.
 STATIC_MODE = [("nl_35km", 0.99, (0.1, 1.0)), ("galway_a_glw1", 0.99, (0.4, 1.7))]
 
 
