@@ -12,6 +12,8 @@ import pytest
 from rtkmesh.codecs.rinex_navigation import read_navigation
 from rtkmesh.codecs.rinex_observation import ObservationReader
 
+pytestmark = pytest.mark.slow  # without compiled kernels
+
 NAMES = ("campaign", "families", "peers", "rtklib", "score_pos", "simulated", "simulated_files")
 rtklib = pytest.mark.rtklib
 

@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow  # without compiled kernels
+
 NAMES = ("stations", "campaign")
 
 

@@ -14,6 +14,8 @@ from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.solution import Solution, Status
 from rtkmesh.simulation.sky import absolute_s
 
+pytestmark = pytest.mark.slow  # without compiled kernels
+
 NAMES = ("troubles", "modes", "scan", "simulated", "campaign")
 
 

@@ -18,6 +18,8 @@ from rtkmesh.simulation.receiver import Receiver
 from rtkmesh.simulation.sky import SATELLITES, broadcast
 from rtkmesh.simulation.trajectories import AntennaPath, Site
 
+pytestmark = pytest.mark.slow  # without compiled kernels
+
 START = GpsTime(2445, 200000.0)
 SITE = Site(radians(48.0), radians(11.0), 500.0)
 STEP_S = 30.0

@@ -14,6 +14,8 @@ from rtkmesh.rtk.options import Mode, RtkOptions
 from rtkmesh.simulation import classes, trajectories
 from rtkmesh.simulation.receiver import ReceiverOptions
 
+pytestmark = pytest.mark.slow  # without compiled kernels
+
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 HIDDEN, SEEN = 40, 46  # seconds from and to which nothing is seen
 ELSEWHERE_ENU_M = (-180.0, 20.0, 3.0)
