@@ -35,7 +35,7 @@ from rich.progress import track
 
 import kernel_cache  # noqa: F401  first of all
 from bounds import clopper_pearson
-from families import FAMILIES, Family
+from families import FAMILIES, Family, named
 from results import table
 from rtkmesh.gnss.signals import satellite_id, signal_code
 from rtkmesh.rtk.solution import Reason, Solution, Status
@@ -97,7 +97,7 @@ def simulated_run(family: Family, seed: int, run: int, rates: Rates = ONE_HZ) ->
 
 def measure(name: str, seed: int, run: int, rates: Rates = ONE_HZ) -> Outcome:
     """Simulate, solve and judge one run."""
-    family = next(f for f in FAMILIES if f.name == name)
+    (family,) = named(name)
     simulated = simulated_run(family, seed, run, rates)
     return outcome(name, run, judge(simulated, solve(simulated)), rates.rover_hz)
 
@@ -288,7 +288,7 @@ def _trace_line(s: Solution, judged: Judged, k: int) -> str:
 
 def main() -> int:
     options = _options()
-    families = [f for f in FAMILIES if not options.only or f.name in options.only.split(",")]
+    families = named(options.only)
     if options.run is not None:
         return _one(families[0], options)
     outcomes = campaign(families, options.runs or (QUICK_RUNS if options.quick else RUNS), options.seed, options.jobs, _rates(options))
@@ -334,9 +334,10 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--data", help="not needed: everything is simulated")
     options = parser.parse_args()
-    unknown = set((options.only or "open").split(",")) - {family.name for family in FAMILIES}
-    if unknown:
-        parser.error(f"no family {', '.join(sorted(unknown))}; there are {', '.join(family.name for family in FAMILIES)}")
+    try:
+        named(options.only)
+    except ValueError as error:
+        parser.error(str(error))
     if options.run is not None and (not options.only or "," in options.only):
         parser.error("--run is a run of one family: name it with --only")
     return options

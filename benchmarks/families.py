@@ -287,3 +287,11 @@ FAMILIES: Final = (
     Family("km35", "35 km", _far(35e3)),
     Family("moving_base", "two antennas on a vehicle", _moving_base),
 )
+
+
+def named(names: str | None) -> list[Family]:
+    """Return the families of these names, with commas between, in the order of FAMILIES; all without a name (ValueError: there is none)."""
+    wanted = set(names.split(",")) if names else {family.name for family in FAMILIES}
+    if unknown := wanted - {family.name for family in FAMILIES}:
+        raise ValueError(f"no family {', '.join(sorted(unknown))}; there are {', '.join(family.name for family in FAMILIES)}")
+    return [family for family in FAMILIES if family.name in wanted]

@@ -38,7 +38,7 @@ from rich.progress import track
 import kernel_cache  # noqa: F401  first of all
 import rtklib
 from campaign import Outcome, figures, outcome, simulated_run
-from families import FAMILIES
+from families import named
 from results import table
 from rtkmesh.rtk.options import Mode
 from score_pos import Track
@@ -224,7 +224,7 @@ def measure(name: str, seed: int, number: int) -> dict[str, Outcome]:
 
 
 def _run(name: str, seed: int, number: int) -> Simulated:
-    return simulated_run(next(f for f in FAMILIES if f.name == name), seed, number)
+    return simulated_run(named(name)[0], seed, number)
 
 
 def measure_all(name: str, seed: int, number: int) -> Tried:
@@ -315,7 +315,7 @@ def _short(one: Outcome) -> str:
 
 def main() -> int:
     options = _options()
-    names = [f.name for f in FAMILIES if not options.only or f.name in options.only.split(",")]
+    names = [family.name for family in named(options.only)]
     if options.choose:
         print(chosen(campaign(measure_all, names, CHOOSING_SEED, options.runs or CHOOSING_RUNS, options.jobs)))
         return 0
@@ -343,9 +343,10 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--data", help="not needed: everything is simulated")
     options = parser.parse_args()
-    unknown = set((options.only or "open").split(",")) - {family.name for family in FAMILIES}
-    if unknown:
-        parser.error(f"no family {', '.join(sorted(unknown))}; there are {', '.join(family.name for family in FAMILIES)}")
+    try:
+        named(options.only)
+    except ValueError as error:
+        parser.error(str(error))
     return options
 
 

@@ -329,21 +329,33 @@ class Judged:
 
 def judge(run: Simulated, solutions: Sequence[Solution | None]) -> Judged:
     """Hold solutions against the truth. Of a base that stands the rover's position is judged, relative to what the base told."""
-    setup, n = run.setup, run.setup.epochs
-    status, error, normalised, doubt = np.zeros(n, np.int64), np.full((n, 3), np.nan), np.full(n, np.nan), np.ones(n)
-    turn = run.site.ecef_from_enu()
-    for k, solution in enumerate(solutions):
-        if solution is None:
-            continue
-        status[k], doubt[k] = int(solution.status), 1.0 - solution.fix_probability
+    setup, turn = run.setup, run.site.ecef_from_enu()
+
+    def compared(k: int, solution: Solution) -> tuple[Vector, Vector]:
         relative, cov = solution.baseline_ecef_m, solution.baseline_cov_ecef_m2
         if setup.options.mode is not Mode.MOVING_BASE:
             shifted = setup.shift_at is not None and k >= setup.shift_at * setup.rate_hz
             told = run.base_ecef_m + (turn @ np.array(setup.shift_enu_m) if shifted else 0.0)
             relative, cov = solution.position_ecef_m - told, solution.position_cov_ecef_m2
-        difference = relative - run.baseline_ecef_m[k]
-        error[k] = turn.T @ difference
+        return relative - run.baseline_ecef_m[k], cov
+
+    possible = np.array([len(np.unique(o.epoch.satellite)) >= ENOUGH_SATELLITES for o in run.rover])
+    return held_against(compared, solutions, turn, possible)
+
+
+def held_against(
+    compared: Callable[[int, Solution], tuple[Vector, Vector]], solutions: Sequence[Solution | None], ecef_from_enu: Vector,
+    possible: NDArray[np.bool_],
+) -> Judged:  # fmt: skip
+    """Return what solutions are worth, one per epoch; ``compared`` gives the error of that of an epoch (ECEF, m) and its covariance."""
+    n = len(solutions)
+    status, error, normalised, doubt = np.zeros(n, np.int64), np.full((n, 3), np.nan), np.full(n, np.nan), np.ones(n)
+    for k, solution in enumerate(solutions):
+        if solution is None:
+            continue
+        status[k], doubt[k] = int(solution.status), 1.0 - solution.fix_probability
+        difference, cov = compared(k, solution)
+        error[k] = ecef_from_enu.T @ difference
         if np.isfinite(difference).all() and np.isfinite(cov).all():
             normalised[k] = difference @ np.linalg.solve(cov, difference) / 3.0
-    possible = np.array([len(np.unique(o.epoch.satellite)) >= ENOUGH_SATELLITES for o in run.rover])
     return Judged(status, error, normalised, possible, doubt)

@@ -37,13 +37,13 @@ from rtkmesh.gnss.ephemeris import ReferenceStation
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
-from rtkmesh.rtk.solution import Solution, Status
+from rtkmesh.rtk.solution import Solution
 from rtkmesh.simulation.classes import SURVEY
 from rtkmesh.simulation.faults import with_orbit_error
 from rtkmesh.simulation.receiver import Receiver
 from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, broadcast, issues
 from rtkmesh.simulation.trajectories import AntennaPath, Site
-from simulated import Judged, slopes_of_two_makes_m
+from simulated import Judged, held_against, slopes_of_two_makes_m
 
 Row = dict[str, Any]
 
@@ -128,16 +128,11 @@ def solutions_of(level: Level, stations: Stations, epochs: int) -> Iterator[Solu
 
 def judge(stations: Stations, solutions: Sequence[Solution | None]) -> Judged:
     """Hold solutions against the truth."""
-    n, turn = len(solutions), stations.site.ecef_from_enu()
-    status, error, normalised, doubt = np.zeros(n, np.int64), np.full((n, 3), np.nan), np.full(n, np.nan), np.ones(n)
-    for k, solution in enumerate(solutions):
-        if solution is None:
-            continue
-        difference, cov = solution.position_ecef_m - stations.rover_ecef_m, solution.position_cov_ecef_m2
-        status[k], doubt[k], error[k] = int(solution.status), 1.0 - solution.fix_probability, turn.T @ difference
-        if solution.status in (Status.FIX, Status.FLOAT):
-            normalised[k] = difference @ np.linalg.solve(cov, difference) / 3.0
-    return Judged(status, error, normalised, np.ones(n, np.bool_), doubt)
+
+    def compared(_: int, solution: Solution) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return solution.position_ecef_m - stations.rover_ecef_m, solution.position_cov_ecef_m2
+
+    return held_against(compared, solutions, stations.site.ecef_from_enu(), np.ones(len(solutions), np.bool_))
 
 
 def measure(level: Level, seed: int, run: int, hours: float = HOURS) -> Outcome:
