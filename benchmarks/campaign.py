@@ -20,7 +20,6 @@ a third the same of each family that has wrong fixes, as wrong / fixes, with ! w
 
 import argparse
 import json
-import os
 import sys
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,6 +33,7 @@ from rich.console import Console
 from rich.progress import track
 
 import kernel_cache  # noqa: F401  first of all
+from arguments import add_data_unused, add_runs, parser_of
 from bounds import clopper_pearson
 from families import FAMILIES, Family, named
 from results import table
@@ -321,18 +321,14 @@ def _rates(options: argparse.Namespace) -> Rates:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=0, help=f"in all families together (default {RUNS})")
-    parser.add_argument("--seed", type=int, default=1)
+    parser = parser_of(__doc__)
+    add_runs(parser, f"in all families together (default {RUNS})", f"{QUICK_RUNS} runs")
     parser.add_argument("--only", help="names of families, with commas between")
     parser.add_argument("--run", type=int, help="this run of one family alone")
     parser.add_argument("--trace", action="store_true", help="with --run: every epoch")
     parser.add_argument("--rate", type=int, default=1, help="epochs of the rover in a second")
     parser.add_argument("--base-rate", type=int, default=0, help="epochs of the base in a second (0: as many as the rover's)")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs")
-    parser.add_argument("--json", action="store_true", help="all figures, for programs")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--data", help="not needed: everything is simulated")
+    add_data_unused(parser)
     options = parser.parse_args()
     try:
         named(options.only)

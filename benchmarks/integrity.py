@@ -23,7 +23,6 @@ those of a solver without integers.
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -37,6 +36,7 @@ from numpy.typing import NDArray
 
 import kernel_cache  # noqa: F401  first of all
 import recorded
+from arguments import add_runs, parser_of
 from bounds import clopper_pearson
 from campaign import random_of
 from cases import Case, data_folder, load
@@ -361,15 +361,11 @@ def main() -> int:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
+    add_runs(parser, f"simulated, in all families together (default {RUNS})", f"{QUICK_RUNS} runs, two recordings", seed=7)
     parser.add_argument("--data", type=Path, help="folder of the recordings")
-    parser.add_argument("--runs", type=int, default=0, help=f"simulated, in all families together (default {RUNS})")
-    parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--risk", type=float, default=IntegrityOptions().risk, help="per epoch, for the protection levels")
     parser.add_argument("--only", help="names of families and recordings, with commas between")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs, two recordings")
-    parser.add_argument("--json", action="store_true", help="all figures, for programs")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     return parser.parse_args()
 
 

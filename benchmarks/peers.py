@@ -19,7 +19,6 @@ or has fewer wrong ones.
 import argparse
 import importlib.util
 import json
-import os
 import sys
 import tempfile
 import tomllib
@@ -37,6 +36,7 @@ from rich.progress import track
 
 import kernel_cache  # noqa: F401  first of all
 import rtklib
+from arguments import add_data_unused, add_runs, parser_of
 from campaign import Outcome, figures, outcome, simulated_run
 from families import named
 from results import table
@@ -333,15 +333,11 @@ def main() -> int:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=0, help=f"of each family (default {RUNS})")
-    parser.add_argument("--seed", type=int, default=1)
+    parser = parser_of(__doc__)
+    add_runs(parser, f"of each family (default {RUNS})", f"{QUICK_RUNS} runs of each family")
     parser.add_argument("--only", help="names of families, with commas between")
     parser.add_argument("--choose", action="store_true", help="try all settings and print those that did best")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs of each family")
-    parser.add_argument("--json", action="store_true", help="all figures, for programs")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--data", help="not needed: everything is simulated")
+    add_data_unused(parser)
     options = parser.parse_args()
     try:
         named(options.only)

@@ -8,9 +8,7 @@ every rate, at the same place and time, with the same faults; its noise is anoth
 the same runs without integers (AmbiguityMode.OFF): normalised error squared of every float, mean and mean of the lower 95 %.
 """
 
-import argparse
 import json
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -21,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import kernel_cache  # noqa: F401  first of all
+from arguments import add_runs, parser_of
 from campaign import Outcome, Rates, figures, outcome, simulated_run
-from families import FAMILIES, Family
+from families import FAMILIES, Family, named
 from results import table
 from rtkmesh.rtk.options import AmbiguityMode
 from sigmas import of_run
@@ -89,16 +88,15 @@ def rates_of(text: str) -> list[Rates]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=0, help=f"per family and rate (default {RUNS})")
-    parser.add_argument("--seed", type=int, default=1)
+    parser = parser_of(__doc__)
+    add_runs(parser, f"per family and rate (default {RUNS})", f"{QUICK_RUNS} runs of each")
     parser.add_argument("--only", default=",".join(TELLING), help="names of families, with commas between")
     parser.add_argument("--rates", default=RATES, help="rates in Hz, with commas between")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs of each")
-    parser.add_argument("--json", action="store_true", help="all figures, for programs")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     options = parser.parse_args()
-    families = [family for family in FAMILIES if family.name in options.only.split(",")]
+    try:
+        families = named(options.only)
+    except ValueError as error:
+        parser.error(str(error))
     runs = options.runs or (QUICK_RUNS if options.quick else RUNS)
     rows = list(measured(families, rates_of(options.rates), runs, options.seed, options.jobs))
     print(json.dumps(rows, indent=1) if options.json else page(rows))

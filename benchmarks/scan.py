@@ -4,9 +4,7 @@ A scan (``Scan``) says which levels there are, how they are drawn, and what of t
 there are. ``main`` is the program: tables, or one run again.
 """
 
-import argparse
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from arguments import add_data_unused, add_runs, parser_of
 from campaign import COLUMNS as CAMPAIGN_COLUMNS
 from campaign import Outcome, cells, figures, outcome, told, trace_of
 from families import Random
@@ -271,18 +270,14 @@ def _one(scan: Scan, text: str, *, traced: bool, twin: bool) -> int:
 
 def main(scan: Scan, text: str | None) -> int:
     """Do what the arguments of the program say; ``text`` is its help."""
-    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=0, help=f"in all (default {scan.runs})")
-    parser.add_argument("--seed", type=int, default=1)
+    parser = parser_of(text)
+    add_runs(parser, f"in all (default {scan.runs})", f"{scan.quick_runs} runs")
     parser.add_argument("--only", default="", help="levels of factors: mode=static|static-start,systems=G")
     parser.add_argument("--run", metavar="SEED:K", help="this run alone")
     parser.add_argument("--trace", action="store_true", help="with --run: every epoch")
     if scan.twin is not None:
         parser.add_argument("--twin", action="store_true", help="with --trace: of its twin")
-    parser.add_argument("--quick", action="store_true", help=f"{scan.quick_runs} runs")
-    parser.add_argument("--json", action="store_true", help="all figures, for programs")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--data", help="not needed: everything is simulated")
+    add_data_unused(parser)
     options = parser.parse_args()
     if options.run:
         return _one(scan, options.run, traced=options.trace, twin=getattr(options, "twin", False))

@@ -11,9 +11,7 @@ says, six hours long; the ionosphere is from half as large as on a quiet day to 
 the longest run of wrong fixes and the first right fix in minutes.
 """
 
-import argparse
 import json
-import os
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
@@ -29,6 +27,7 @@ from rich.console import Console
 from rich.progress import track
 
 import kernel_cache  # noqa: F401  first of all
+from arguments import add_data_unused, add_runs, parser_of
 from campaign import COLUMNS as CAMPAIGN_COLUMNS
 from campaign import Outcome, cells, figures, lines_of, outcome
 from families import Random, base_place
@@ -180,16 +179,12 @@ def _one(text: str, seed: int, *, traced: bool) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=0, help=f"of each level (default {RUNS})")
-    parser.add_argument("--seed", type=int, default=1)
+    parser = parser_of(__doc__)
+    add_runs(parser, f"of each level (default {RUNS})", f"{QUICK_RUNS} run of each level, {QUICK_HOURS:g} hour long")
     parser.add_argument("--only", default="", help="levels: GR:35,GR:50")
     parser.add_argument("--run", metavar="SYSTEMS:KM:K", help="this run alone")
     parser.add_argument("--trace", action="store_true", help="with --run: every epoch")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} run of each level, {QUICK_HOURS:g} hour long")
-    parser.add_argument("--json", action="store_true", help="all figures, for programs")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--data", help="not needed: everything is simulated")
+    add_data_unused(parser)
     options = parser.parse_args()
     try:
         if options.run:

@@ -3,17 +3,17 @@
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from functools import lru_cache
-from math import nan, radians
-from typing import Any, NamedTuple
+from math import isfinite, nan, radians
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtkmesh._jit import kernel, scratch, scratch_index_table, scratch_table
+from rtkmesh._jit import kernel, kernel_in_place, scratch, scratch_index_table, scratch_table
 from rtkmesh.gnss.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
 from rtkmesh.gnss.ephemeris import KlobucharParameters
 from rtkmesh.gnss.epoch import Epoch, Signals
-from rtkmesh.gnss.signals import SYSTEMS, allowed_satellites
+from rtkmesh.gnss.signals import SATELLITES_PER_SYSTEM, SYSTEMS, allowed_satellites
 from rtkmesh.gnss.time import GpsTime
 from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.code_selection import (
@@ -46,6 +46,10 @@ from rtkmesh.models.single_adjustment import (
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+# A code that is so far off (m) is of a satellite that is not where its ephemeris puts it, or of a receiver that tracks something else. On 1
+# April 2014 all of GLONASS sent ephemerides that were off by tens to hundreds of kilometres, for eleven hours (Beutler et al. 2014). Codes
+# that are reflected in streets are 0.2 km off at most.
+MISPLACED_M: Final = 300.0
 Plain = tuple[Any, ...]  # the fields of a named tuple: without names it crosses into a kernel sooner (rtk/crossing.py)
 
 
@@ -261,6 +265,18 @@ def locate(signals: Signals, issues: Issues, setup: PointSetup, start_ecef_m: Ve
         status, position, scale * cofactor[:3, :3], clock_s, clocks_s, velocity, rate_cofactor[:3, :3].copy(), quality, satellites, rows,
         states, geometry, work,
     )  # fmt: skip
+
+
+@kernel_in_place
+def is_misplaced(located: Located, row: int) -> bool:
+    """Return whether the others say that the satellite of a row is not where its ephemeris puts it: its phases are of no use either.
+
+    Where they say it of all of a system, its clock is unknown.
+    """
+    if located.work[row, USED] != 0.0:
+        return False
+    clock_s = located.clocks_s[int(located.satellites[row]) // SATELLITES_PER_SYSTEM]
+    return not (isfinite(clock_s) and abs(located.work[row, RESIDUAL]) <= MISPLACED_M)
 
 
 _allowed = lru_cache(maxsize=64)(allowed_satellites)

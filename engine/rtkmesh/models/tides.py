@@ -1,4 +1,4 @@
-"""The solid earth tide: how far the ground moves under sun and moon (up to 0.3 m), at one place as good as at its neighbour.
+"""The solid earth tide: how far the ground moves under sun and moon (up to 0.4 m), at one place as good as at its neighbour.
 
 Between places it differs by millimetres per hundred kilometres, so it matters to long baselines alone.
 """

@@ -25,7 +25,7 @@ SCALE_MOST: Final = 30.0  # patches between trees (5 m)
 
 @kernel_in_place
 def elevation_variance(a_m: float, b_m: float, elevation_rad: float) -> float:
-    """Return a^2 + (b / sin elevation)^2 (Eueler and Goad 1991 in the form that RTKLIB made common)."""
+    """Return a^2 + (b / sin elevation)^2 (Euler and Goad 1991 in the form that RTKLIB made common)."""
     s = max(sin(elevation_rad), 0.05)
     return a_m * a_m + b_m * b_m / (s * s)
 

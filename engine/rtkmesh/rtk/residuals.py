@@ -17,7 +17,7 @@ from rtkmesh.models.antenna import antenna_correction_m, carrier_place, pattern_
 from rtkmesh.models.ephemeris_table import KIND, NO_EPHEMERIS, ROW
 from rtkmesh.models.geometry import AZIMUTH, E_X, ELEVATION, GEOMETRY, IONOSPHERE_L1_M, RANGE, TROPOSPHERE_M, receiver_geometry
 from rtkmesh.models.orbit import LONGEST_RANGE_M, SHORTEST_RANGE_M, STATE, STATE_CLOCK, STATE_OK, satellite_states
-from rtkmesh.models.single import Located
+from rtkmesh.models.single import Located, is_misplaced
 from rtkmesh.rtk.matching import Pairs, runs
 from rtkmesh.rtk.noise import UNALIGNED_CODE_M, cn0_factor, elevation_variance
 
@@ -265,14 +265,14 @@ def observe(
 @kernel_in_place
 def take_satellites(located: Located, satellite: NDArray[np.int16], first: Indices, rows: Matrix, states: Matrix) -> None:
     """Write ephemeris rows and states of the satellites (sorted) that ``first`` says the places of; NaN and not OK where the single point
-    had no code of one.
+    had no code of one, or knows that it is elsewhere.
     """
     j = 0
     for i in range(len(rows)):
         number = satellite[first[i]]
         while j < len(located.satellites) and located.satellites[j] < number:
             j += 1
-        if j < len(located.satellites) and located.satellites[j] == number:
+        if j < len(located.satellites) and located.satellites[j] == number and not is_misplaced(located, j):
             for k in range(ROW):
                 rows[i, k] = located.rows[j, k]
             for k in range(STATE):
