@@ -47,8 +47,8 @@ from rtkmesh.models.single_adjustment import (
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 # A code that is so far off (m) is of a satellite that is not where its ephemeris puts it, or of a receiver that tracks something else. On 1
-# April 2014 all of GLONASS sent ephemerides that were up to 200 km off in each coordinate, some for ten hours (Beutler et al. 2014). Codes
-# that are reflected in streets are 0.2 km off at most.
+# April 2014 all of GLONASS sent ephemerides that were up to 200 km off in each coordinate, some for ten hours (Beutler et al. 2014). What
+# reflections in streets add is less (simulated ones: up to 0.2 km).
 MISPLACED_M: Final = 300.0
 Plain = tuple[Any, ...]  # the fields of a named tuple: without names it crosses into a kernel sooner (rtk/crossing.py)
 
