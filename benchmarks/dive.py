@@ -118,14 +118,15 @@ def theirs(mission: Mission, files: Files, systems: str, ambiguities: str, *, re
     options = f"{plain}out-solformat=xyz\nant2-postype=xyz\nant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n"
     errors = np.full(run.setup.epochs, np.nan)
     for span in mission.surfacings if restarted else [(0, run.setup.epochs)]:
-        found = by_rnx2rtkp(run, files, options, span)
+        found = by_rnx2rtkp(run.start, files, options, span)
         if found is not None:
             _note_fixes(errors, run, found)
     return errors
 
 
 def _note_fixes(errors: Errors, run: Simulated, found: Track) -> None:
-    for k, position_m in zip(epochs_of(run, found)[found.quality == FIX], found.vector_m[found.quality == FIX], strict=True):
+    fixed, places = found.quality == FIX, epochs_of(run.start, run.setup.rate_hz, found)
+    for k, position_m in zip(places[fixed], found.vector_m[fixed], strict=True):
         _note(errors, run, int(k), position_m)
 
 

@@ -40,6 +40,7 @@ from arguments import add_data_unused, add_runs, parser_of
 from campaign import Outcome, figures, outcome, simulated_run
 from families import named
 from results import table
+from rtkmesh.gnss.time import GpsTime
 from rtkmesh.rtk.options import Mode
 from score_pos import Track
 from simulated import Judged, Simulated, judge, solve
@@ -63,7 +64,7 @@ _AHEAD_SHARE: Final = 0.05  # of the epochs, and
 _AHEAD_S: Final = 5.0  # less is luck
 _SYSTEMS: Final = "GREC"
 # As in the options that demo5's recommended solutions of recordings were made with.
-_DEMO5: Final = """pos2-gloarmode=fix-and-hold
+DEMO5: Final = """pos2-gloarmode=fix-and-hold
 pos2-arfilter=on
 pos2-minfixsats=4
 pos2-minholdsats=5
@@ -121,8 +122,8 @@ class Peer:
 
     def solve(self, run: Simulated, files: Files, settings: Settings) -> list[Track | None]:
         """Return its solutions of a run, a track per start."""
-        by: Callable[[Simulated, Files, str, Span], Track | None] = by_demo5 if self.demo5 else by_rnx2rtkp
-        return [by(run, files, self.options(run, settings), span) for span in spans(run)]
+        by: Callable[[GpsTime, Files, str, Span], Track | None] = by_demo5 if self.demo5 else by_rnx2rtkp
+        return [by(run.start, files, self.options(run, settings), span) for span in spans(run)]
 
     def options(self, run: Simulated, settings: Settings) -> str:
         """Return its options for a run."""
@@ -155,8 +156,8 @@ def _chosen() -> dict[str, dict[str, list[Any]]]:
 _PEERS: Final = (
     Peer("b34 continuous", "continuous"),
     Peer("b34 fix-and-hold", "fix-and-hold"),
-    Peer("demo5 fix-and-hold", "fix-and-hold", _DEMO5 + "pos2-arthres1=10\n", demo5=True),  # does not wait for a sure float
-    Peer("demo5 recommended", "fix-and-hold", _DEMO5, demo5=True, chosen=False),
+    Peer("demo5 fix-and-hold", "fix-and-hold", DEMO5 + "pos2-arthres1=10\n", demo5=True),  # does not wait for a sure float
+    Peer("demo5 recommended", "fix-and-hold", DEMO5, demo5=True, chosen=False),
 )
 
 
@@ -188,7 +189,7 @@ def judged(run: Simulated, tracks: Iterable[Track | None]) -> Judged:
     for found in tracks:
         if found is None:
             continue
-        k = epochs_of(run, found)
+        k = epochs_of(run.start, run.setup.rate_hz, found)
         inside = (k >= 0) & (k < run.setup.epochs)
         k, vector_m = k[inside], found.vector_m[inside]
         enu_m = vector_m if found.kind == "enu" else (vector_m - run.base_ecef_m) @ turn

@@ -31,7 +31,7 @@ from simulated import Simulated
 
 Span = tuple[float, float]  # seconds of a run: its first epoch and the one after its last
 
-_ORIGIN: Final = Origin(3.05, "rtkmesh benchmarks", datetime(2026, 1, 1))
+ORIGIN: Final = Origin(3.05, "rtkmesh benchmarks", datetime(2026, 1, 1))
 _KEPT_SIGMA_CYC: Final = 0.016
 _BASE_SEED: Final = 1  # apart from the rover's: of what the receiver itself believes of its place
 
@@ -105,35 +105,35 @@ def converted(run: Simulated, data: Sent, folder: Path) -> Files:
 
 def with_wrong_orbits(run: Simulated, files: Files) -> Files:
     """Return the files with the ephemerides that ``simulated.solve`` gives to a session, as wrong as broadcast ones are."""
-    parts = [navigation_header(_ORIGIN, [KLOBUCHAR], gps_minus_utc_s(run.start))]
+    parts = [navigation_header(ORIGIN, [KLOBUCHAR], gps_minus_utc_s(run.start))]
     for satellite in SATELLITES.tolist():
         issues = {broadcast(satellite, time) for time in (run.start, run.start + float(run.setup.seconds))}
-        parts += [navigation_record(with_orbit_error(issue, run.seed), _ORIGIN.version) for issue in issues]
+        parts += [navigation_record(with_orbit_error(issue, run.seed), ORIGIN.version) for issue in issues]
     path = files.folder / "all.nav"
     path.write_text("".join(parts))
     return replace(files, navigation=(path,))
 
 
-def by_rnx2rtkp(run: Simulated, files: Files, options: str, span: Span) -> Track | None:
-    """Return what b34's rnx2rtkp makes of a span, started at its beginning; None where it solved nothing."""
+def by_rnx2rtkp(start: GpsTime, files: Files, options: str, span: Span) -> Track | None:
+    """Return what b34's rnx2rtkp makes of a span of a run that begins then, started with it; None where it solved nothing."""
     conf, out = files.folder / "b34.conf", files.folder / "b34.pos"
     conf.write_text(options)
     out.unlink(missing_ok=True)
     times: list[str] = []
     for flag, k in zip(("-ts", "-te"), span, strict=True):
-        times += [flag, *f"{run.start.to_calendar() + timedelta(seconds=k - 0.5):%Y/%m/%d %H:%M:%S.%f}".split()]
+        times += [flag, *f"{start.to_calendar() + timedelta(seconds=k - 0.5):%Y/%m/%d %H:%M:%S.%f}".split()]
     rtklib.run(["rnx2rtkp", "-k", str(conf), *times, "-o", str(out), *files.all])
     return _track(out)
 
 
-def by_demo5(run: Simulated, files: Files, options: str, span: Span) -> Track | None:
+def by_demo5(start: GpsTime, files: Files, options: str, span: Span) -> Track | None:
     """Return the same of demo5's postpos (PyPI pyrtklib5), in this process; ProgramError where it does not take its options."""
     conf, out = files.folder / "demo5.conf", files.folder / "demo5.pos"
     conf.write_text(options)
     out.unlink(missing_ok=True)
     words = files.folder / "demo5.err"
     with _stderr_into(words):
-        _postpos(conf, run.start, span, files.all, out)
+        _postpos(conf, start, span, files.all, out)
     if "invalid" in words.read_text(errors="replace"):
         raise rtklib.ProgramError(f"demo5 does not take its options: {words.read_text(errors='replace')[:200]}")
     return _track(out)
@@ -172,7 +172,7 @@ def _track(out: Path) -> Track | None:
         return None
 
 
-def epochs_of(run: Simulated, track: Track) -> NDArray[np.int64]:
-    """Return the number of the run's epoch that each solution belongs to; it may lie outside of the run."""
-    begin_s = run.start.week * 604800.0 + run.start.tow_s
-    return np.rint((track.time_s - begin_s) * run.setup.rate_hz).astype(np.int64)
+def epochs_of(start: GpsTime, rate_hz: float, track: Track) -> NDArray[np.int64]:
+    """Return the number of the epoch of a run that begins then that each solution belongs to; it may lie outside of the run."""
+    begin_s = start.week * 604800.0 + start.tow_s
+    return np.rint((track.time_s - begin_s) * rate_hz).astype(np.int64)

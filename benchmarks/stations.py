@@ -2,23 +2,27 @@
 """Permanent stations tens of kilometres apart for hours, an epoch every 30 s: simulated, solved as a rover that may move.
 
   stations.py [--runs N] [--seed S] [--only LEVEL,...] [--quick] [--json] [--jobs N]
-  stations.py --run SYSTEMS:KM:K [--seed S] [--trace]        one run again
+  stations.py --run LEVEL:K [--seed S] [--trace]        one run again, like GR:50:3 or GR:50:unknown:3
 
 The campaign (campaign.py) has runs of minutes at 1 Hz. What lasts shows within hours only: biases of GLONASS codes by channel between two
 makes, multipath of an antenna that never moves, satellites that set with their integers and rise without, slips between epochs that are
 30 s apart. Each run is a pair of survey receivers of two makes, two bands, anywhere on earth, 0.9 to 1.1 times as far apart as the level
-says, six hours long; the ionosphere is from half as large as on a quiet day to one and a half times that. Columns as those of campaign.py,
-the longest run of wrong fixes and the first right fix in minutes.
+says, six hours long; the ionosphere is from half as large as on a quiet day to one and a half times that. Antennas are calibrated, as those
+of stations are, but for the levels that say otherwise. RTKLIB is given the same observations and ephemerides as RINEX, if it is installed.
+Columns as those of campaign.py, the longest run of wrong fixes and the first right fix in minutes.
 """
 
 import json
 import sys
+import tempfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from math import radians
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -31,9 +35,12 @@ from arguments import add_data_unused, add_runs, parser_of
 from campaign import COLUMNS as CAMPAIGN_COLUMNS
 from campaign import Outcome, cells, figures, lines_of, outcome
 from families import Random, base_place
+from peers import OURS
 from results import table
-from rtkmesh.gnss.ephemeris import ReferenceStation
+from rtkmesh.gnss.ephemeris import Ephemeris, ReferenceStation
+from rtkmesh.gnss.epoch import Epoch
 from rtkmesh.gnss.time import GpsTime
+from rtkmesh.models.antenna import find_antenna
 from rtkmesh.rtk.options import RtkOptions
 from rtkmesh.rtk.session import Session, SessionOptions, Source, pairing_for
 from rtkmesh.rtk.solution import Solution
@@ -42,7 +49,10 @@ from rtkmesh.simulation.faults import with_orbit_error
 from rtkmesh.simulation.receiver import Receiver
 from rtkmesh.simulation.sky import KLOBUCHAR, SATELLITES, broadcast, issues
 from rtkmesh.simulation.trajectories import AntennaPath, Site
+from score_pos import Track
 from simulated import Judged, held_against, slopes_of_two_makes_m
+from simulated_files import epochs_of
+from station_peers import station_peers, written
 
 Row = dict[str, Any]
 
@@ -54,23 +64,30 @@ QUICK_HOURS: Final = 1.0
 SYSTEMS: Final = ("G", "GR", "GREC")
 DISTANCES_KM: Final = (20, 35, 50)
 _IN_MINUTES: Final = {"longest wrong s": "longest wrong min", "first right fix s": "first right fix min"}
-COLUMNS: Final = ("systems, distance", *(_IN_MINUTES.get(name, name) for name in CAMPAIGN_COLUMNS[1:]))
+COLUMNS: Final = ("systems, distance", "solved by", *(_IN_MINUTES.get(name, name) for name in CAMPAIGN_COLUMNS[1:]))
+_ANTENNA: Final = "ADVNULLANTENNA"  # calibrated, with all phase centres in its reference point
 _WEEK_S: Final = 604800
 _FIRST: Final = GpsTime(2445, 0.0)
 _DELAY_S: Final = 0.1  # of a base epoch behind the rover's
 
 
 class Level(NamedTuple):
-    """Systems, and the distance (km)."""
+    """Systems, the distance (km), and whether the solver knows the antennas of both ends."""
 
     systems: str
     km: int
+    calibrated: bool = True
 
     def __str__(self) -> str:
-        return f"{self.systems}, {self.km} km"
+        return f"{self.systems}, {self.km} km{'' if self.calibrated else ', antennas unknown'}"
+
+    @property
+    def name(self) -> str:
+        """How it is asked for."""
+        return f"{self.systems}:{self.km}{'' if self.calibrated else ':unknown'}"
 
 
-LEVELS: Final = tuple(Level(systems, km) for systems, km in product(SYSTEMS, DISTANCES_KM))
+LEVELS: Final = (*(Level(*one) for one in product(SYSTEMS, DISTANCES_KM)), *(Level("GR", km, False) for km in DISTANCES_KM))
 
 
 class Stations(NamedTuple):
@@ -106,23 +123,42 @@ def stations_of(level: Level, seed: int, run: int) -> Stations:
     return Stations(rover, base, site, paths[0].position_ecef_m(0.0), paths[1].position_ecef_m(0.0), start, number)
 
 
-def solutions_of(level: Level, stations: Stations, epochs: int) -> Iterator[Solution | None]:
+class Seen(NamedTuple):
+    """What there is at an epoch: ephemerides if there are new ones, and what both receivers observe."""
+
+    ephemerides: list[Ephemeris]
+    rover: Epoch
+    base: Epoch
+
+
+def seen_by(stations: Stations, epochs: int) -> Iterator[Seen]:
+    """Yield what there is, epoch by epoch."""
+    known: tuple[int, int, int, int] | None = None
+    for k in range(epochs):
+        time = stations.start + k * STEP_S
+        told, before = issues(time), known
+        known = told
+        new = [with_orbit_error(broadcast(satellite, time), stations.seed) for satellite in SATELLITES.tolist()] if told != before else []
+        yield Seen(new, stations.rover.observe(time).epoch, stations.base.observe(time).epoch)
+
+
+def solutions_of(level: Level, stations: Stations, seen: Iterable[Seen]) -> Iterator[Solution | None]:
     """Yield the solution of every epoch (None: none came)."""
     options = RtkOptions(systems=level.systems, frequencies=2)
-    session = Session(SessionOptions(options, pairing_for(options, replay=False)))
+    antenna = _ANTENNA if level.calibrated else ""
+    session = Session(SessionOptions(
+        options, pairing_for(options, replay=False), rover_antenna=antenna, base_antenna=antenna, find_antenna=partial(find_antenna, ()),
+    ))  # fmt: skip
     x, y, z = stations.base_ecef_m.tolist()
     session.feed(Source.BASE, ReferenceStation(1, (x, y, z)), 0.0)
     session.feed(Source.NAVIGATION, KLOBUCHAR)
-    known: tuple[int, int, int, int] | None = None
-    for k in range(epochs):
-        time, now_s = stations.start + k * STEP_S, k * STEP_S
-        if (told := issues(time)) != known:
-            known = told
-            for satellite in SATELLITES.tolist():
-                session.feed(Source.NAVIGATION, with_orbit_error(broadcast(satellite, time), stations.seed))
-        session.feed(Source.ROVER, stations.rover.observe(time).epoch, now_s)
-        session.feed(Source.BASE, stations.base.observe(time).epoch, now_s + _DELAY_S)
-        yield next((solution for solution in session.solutions(now_s + _DELAY_S) if solution.time == time), None)
+    for k, (ephemerides, rover, base) in enumerate(seen):
+        now_s = k * STEP_S
+        for ephemeris in ephemerides:
+            session.feed(Source.NAVIGATION, ephemeris)
+        session.feed(Source.ROVER, rover, now_s)
+        session.feed(Source.BASE, base, now_s + _DELAY_S)
+        yield next((solution for solution in session.solutions(now_s + _DELAY_S) if solution.time == rover.time), None)
 
 
 def judge(stations: Stations, solutions: Sequence[Solution | None]) -> Judged:
@@ -134,35 +170,58 @@ def judge(stations: Stations, solutions: Sequence[Solution | None]) -> Judged:
     return held_against(compared, solutions, stations.site.ecef_from_enu(), np.ones(len(solutions), np.bool_))
 
 
-def measure(level: Level, seed: int, run: int, hours: float = HOURS) -> Outcome:
-    """Simulate, solve and judge one run."""
+def judge_track(stations: Stations, epochs: int, track: Track | None) -> Judged:
+    """Hold the solutions of another program against the truth."""
+    judged = judge(stations, [None] * epochs)
+    if track is not None:
+        k = epochs_of(stations.start, 1.0 / STEP_S, track)
+        inside = (k >= 0) & (k < epochs)
+        judged.status[k[inside]] = track.quality[inside]
+        judged.error_enu_m[k[inside]] = (track.vector_m[inside] - stations.rover_ecef_m) @ stations.site.ecef_from_enu()
+    return judged
+
+
+def measure(level: Level, seed: int, run: int, hours: float = HOURS) -> dict[str, Outcome]:
+    """Simulate one run, have it solved by us and, where antennas make no difference, by RTKLIB, and judge it."""
     stations = stations_of(level, seed, run)
-    solutions = list(solutions_of(level, stations, round(hours * 3600.0 / STEP_S)))
-    return outcome(str(level), run, judge(stations, solutions), 60.0 / STEP_S)
+    seen = list(seen_by(stations, round(hours * 3600.0 / STEP_S)))
+    judged = {OURS: judge(stations, list(solutions_of(level, stations, seen)))}
+    if level.calibrated:
+        with tempfile.TemporaryDirectory() as folder:
+            ephemerides = (ephemeris for one in seen for ephemeris in one.ephemerides)
+            files = written([one.rover for one in seen], [one.base for one in seen], ephemerides, Path(folder))
+            for peer in station_peers():
+                found = peer.solve(files, level.systems, stations.base_ecef_m.tolist(), stations.start, hours * 3600.0)
+                judged[peer.name] = judge_track(stations, len(seen), found)
+    return {solver: outcome(level.name, run, one, 60.0 / STEP_S) for solver, one in judged.items()}
 
 
-def measured(levels: Sequence[Level], seed: int, runs: int, hours: float, jobs: int) -> dict[str, Row]:
-    """Return the figures per level, in order, from as many processes as ``jobs``."""
+def measured(levels: Sequence[Level], seed: int, runs: int, hours: float, jobs: int) -> list[Row]:
+    """Return the figures per level and solver, in order, from as many processes as ``jobs``."""
     work = [(level, seed, run, hours) for level in levels for run in range(runs)]
     with ProcessPoolExecutor(jobs) as pool:
         found = pool.map(measure, *zip(*work, strict=True))
         shown = track(found, "runs", len(work), console=Console(stderr=True), disable=not sys.stderr.isatty())
         outcomes = list(shown)
-    return {str(level): figures([o for o in outcomes if o.family == str(level)]) for level in levels}
+    return [row for level in levels for row in rows_of(level, [one for one in outcomes if one[OURS].family == level.name])]
 
 
-def page(rows: dict[str, Row]) -> str:
+def rows_of(level: Level, found: Sequence[dict[str, Outcome]]) -> list[Row]:
+    """Return the figures of runs of a level, per solver."""
+    return [{"level": str(level), "solver": solver} | figures([one[solver] for one in found]) for solver in found[0]]
+
+
+def page(rows: Sequence[Row]) -> str:
     """Return the table as Markdown."""
-    return table(COLUMNS, [cells(title, row) for title, row in rows.items()])
+    return table(COLUMNS, [[row["level"], *cells(row["solver"], row)] for row in rows])
 
 
 def level_of(text: str) -> Level:
-    """Return the level that ``SYSTEMS:KM`` names (ValueError: none)."""
-    systems, _, km = text.partition(":")
-    level = Level(systems, int(km) if km.isdigit() else 0)
-    if level not in LEVELS:
-        raise ValueError(f"there is no level {text!r}; there are {', '.join(f'{one.systems}:{one.km}' for one in LEVELS)}")
-    return level
+    """Return the level of a name (ValueError: none)."""
+    for level in LEVELS:
+        if level.name == text:
+            return level
+    raise ValueError(f"there is no level {text!r}; there are {', '.join(one.name for one in LEVELS)}")
 
 
 def _one(text: str, seed: int, *, traced: bool) -> int:
@@ -170,10 +229,10 @@ def _one(text: str, seed: int, *, traced: bool) -> int:
     name, _, run = text.rpartition(":")
     level = level_of(name)
     if not traced:
-        print(page({text: figures([measure(level, seed, int(run))])}))
+        print(page(rows_of(level, [measure(level, seed, int(run))])))
         return 0
     stations = stations_of(level, seed, int(run))
-    solutions = list(solutions_of(level, stations, round(HOURS * 3600.0 / STEP_S)))
+    solutions = list(solutions_of(level, stations, seen_by(stations, round(HOURS * 3600.0 / STEP_S))))
     print("\n".join(lines_of(solutions, judge(stations, solutions))))
     return 0
 
@@ -182,7 +241,7 @@ def main() -> int:
     parser = parser_of(__doc__)
     add_runs(parser, f"of each level (default {RUNS})", f"{QUICK_RUNS} run of each level, {QUICK_HOURS:g} hour long")
     parser.add_argument("--only", default="", help="levels: GR:35,GR:50")
-    parser.add_argument("--run", metavar="SYSTEMS:KM:K", help="this run alone")
+    parser.add_argument("--run", metavar="LEVEL:K", help="this run alone")
     parser.add_argument("--trace", action="store_true", help="with --run: every epoch")
     add_data_unused(parser)
     options = parser.parse_args()

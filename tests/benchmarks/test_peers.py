@@ -190,7 +190,7 @@ def test_options_that_demo5_does_not_know_are_told(benchmarks: SimpleNamespace, 
     pytest.importorskip("pyrtklib5", reason="pyrtklib5 has wheels for x86-64 only")
     run, written = files
     with pytest.raises(benchmarks.rtklib.ProgramError, match="pos1-frequency"):
-        benchmarks.simulated_files.by_demo5(run, written, "pos1-frequency=l1+2\n", (0.0, 10.0))
+        benchmarks.simulated_files.by_demo5(run.start, written, "pos1-frequency=l1+2\n", (0.0, 10.0))
 
 
 def test_a_run_that_cannot_be_given_is_left_out(benchmarks: SimpleNamespace):

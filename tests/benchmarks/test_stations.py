@@ -7,7 +7,7 @@ import pytest
 
 pytestmark = pytest.mark.slow  # without compiled kernels
 
-NAMES = ("stations", "campaign")
+NAMES = ("stations", "station_peers", "campaign", "rtklib")
 
 
 def test_runs_of_all_systems_are_alike(benchmarks: SimpleNamespace) -> None:
@@ -19,7 +19,7 @@ def test_runs_of_all_systems_are_alike(benchmarks: SimpleNamespace) -> None:
 
 def test_levels_have_names(benchmarks: SimpleNamespace) -> None:
     stations = benchmarks.stations
-    assert all(stations.level_of(f"{level.systems}:{level.km}") == level for level in stations.LEVELS)
+    assert all(stations.level_of(level.name) == level for level in stations.LEVELS)
     with pytest.raises(ValueError, match="GR:50"):
         stations.level_of("GR:48")
 
@@ -28,7 +28,7 @@ def test_half_an_hour_is_solved_and_judged(benchmarks: SimpleNamespace) -> None:
     stations = benchmarks.stations
     level = stations.level_of("GREC:20")
     found = stations.stations_of(level, 1, 0)
-    solutions = list(stations.solutions_of(level, found, 60))
+    solutions = list(stations.solutions_of(level, found, stations.seen_by(found, 60)))
     judged = stations.judge(found, solutions)
     assert judged.fixed[10:].all()
     assert not judged.wrong.any()
@@ -37,3 +37,15 @@ def test_half_an_hour_is_solved_and_judged(benchmarks: SimpleNamespace) -> None:
     assert row["epochs"] == 60
     assert row["first_right_s"][0] == int(np.argmax(judged.fixed)) / 2.0
     assert len(list(benchmarks.campaign.lines_of(solutions, judged))) == 61
+
+
+def test_an_hour_beside_rtklib(benchmarks: SimpleNamespace) -> None:
+    """Other programs read the files and have the same truth: at 20 km both fix, and without antennas there is nobody to compare with."""
+    stations = benchmarks.stations
+    if benchmarks.rtklib.missing():
+        pytest.skip("RTKLIB's programs are not installed")
+    found = stations.measure(stations.level_of("GR:20"), 1, 4, hours=1.0)
+    assert list(found) == [stations.OURS, *(peer.name for peer in benchmarks.station_peers.station_peers())]
+    assert found[stations.OURS].fixes > 100
+    assert found["b34 continuous"].fixes - found["b34 continuous"].wrong > 20
+    assert list(stations.measure(stations.level_of("GR:20:unknown"), 1, 4, hours=0.1)) == [stations.OURS]
