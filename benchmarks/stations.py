@@ -7,7 +7,8 @@
 The campaign (campaign.py) has runs of minutes at 1 Hz. What lasts shows within hours only: biases of GLONASS codes by channel between two
 makes, multipath of an antenna that never moves, satellites that set with their integers and rise without, slips between epochs that are
 30 s apart. Each run is a pair of survey receivers of two makes, two bands, anywhere on earth, 0.9 to 1.1 times as far apart as the level
-says, six hours long; the ionosphere is from half as large as on a quiet day to one and a half times that. Antennas are calibrated, as those
+says, six hours long; the ionosphere is from half as large as on a quiet day to one and a half times that, waves that
+travel and a slope that lasts for hours. Antennas are calibrated, as those
 of stations are, but for the levels that say otherwise. RTKLIB is given the same observations and ephemerides as RINEX, if it is installed.
 Columns as those of campaign.py, the longest run of wrong fixes and the first right fix in minutes.
 """
@@ -66,6 +67,7 @@ DISTANCES_KM: Final = (20, 35, 50)
 _IN_MINUTES: Final = {"longest wrong s": "longest wrong min", "first right fix s": "first right fix min"}
 COLUMNS: Final = ("systems, distance", "solved by", *(_IN_MINUTES.get(name, name) for name in CAMPAIGN_COLUMNS[1:]))
 _ANTENNA: Final = "ADVNULLANTENNA"  # calibrated, with all phase centres in its reference point
+SLOPE_PPM: Final = 0.4  # of the ionosphere for hours, on a quiet day
 _WEEK_S: Final = 604800
 _FIRST: Final = GpsTime(2445, 0.0)
 _DELAY_S: Final = 0.1  # of a base epoch behind the rover's
@@ -117,7 +119,7 @@ def stations_of(level: Level, seed: int, run: int) -> Stations:
     other = replace(own, signals=own.signals._replace(glonass_slopes_m=slopes_of_two_makes_m(rng)))
     paths = AntennaPath(site, None, (0.0, 0.0, 0.0)), AntennaPath(site, None, place)
     rover, base = (
-        Receiver(name, path, number, options, (), None, activity)
+        Receiver(name, path, number, options, (), None, activity, slope_ppm=SLOPE_PPM * activity)
         for name, path, options in zip(("rover", "base"), paths, (own, other), strict=True)
     )
     return Stations(rover, base, site, paths[0].position_ecef_m(0.0), paths[1].position_ecef_m(0.0), start, number)

@@ -11,9 +11,8 @@ AZIMUTH = np.linspace(0.0, 6.0, 40)
 ELEVATION = np.linspace(0.15, 1.5, 40)
 
 
-def ionosphere(place: tuple[float, float], time_s: float, seed: int = 1) -> np.ndarray:
-    atmosphere = Atmosphere(seed)
-    return atmosphere.ionosphere_l1_m(atmosphere.waves(np.array((*place, 0.0)), time_s), AZIMUTH, ELEVATION)
+def ionosphere(place: tuple[float, float], time_s: float, seed: int = 1, slope_ppm: float = 0.0) -> np.ndarray:
+    return Atmosphere(seed, slope_ppm=slope_ppm).ionosphere_l1_m(np.array((*place, 0.0)), time_s, AZIMUTH, ELEVATION)
 
 
 def test_a_kilometre_of_baseline_sees_about_a_millimetre():
@@ -21,6 +20,19 @@ def test_a_kilometre_of_baseline_sees_about_a_millimetre():
     worst = [np.abs(ionosphere((1000.0, 0.0), 60.0 * k) - ionosphere((0.0, 0.0), 60.0 * k)) for k in range(60)]
     assert 1e-4 < np.median(worst) < 2e-3
     assert np.max(worst) < 4e-3
+
+
+def test_a_slope_lasts_for_hours():
+    """High in the sky it is as large as its sigma says over many days, and five minutes change it by a tenth at most."""
+    here, there = (0.0, 0.0), (1e5, 0.0)
+
+    def apart_ppm(seed: int, time_s: float) -> float:
+        with_slope, without = (ionosphere(there, time_s, seed, s)[-1] - ionosphere(here, time_s, seed, s)[-1] for s in (0.5, 0.0))
+        return float(with_slope - without) / 0.1
+
+    found = np.array([[apart_ppm(seed, time_s) for time_s in (0.0, 300.0)] for seed in range(300)])
+    assert 0.25 < np.sqrt(np.mean(found**2)) < 0.45  # 0.5, of which a sine in time leaves 0.7
+    assert np.sqrt(np.mean((found[:, 1] - found[:, 0]) ** 2)) < 0.1 * np.sqrt(np.mean(found**2))
 
 
 def test_processes_agree_on_the_atmosphere_and_seeds_do_not():

@@ -146,17 +146,17 @@ class Receiver:
     """Observes the sky from one antenna; epochs must be asked for in rising order.
 
     ``name`` and ``seed`` decide every random number of an epoch together with its time. ``surroundings``: what stands around the
-    antenna (None: nothing); ``activity``: factor of what the ionosphere has beyond its model; ``clock``: that of another antenna of
-    the same receiver.
+    antenna (None: nothing); ``activity`` and ``slope_ppm``: what the ionosphere has beyond its model (see ``Atmosphere``); ``clock``: that
+    of another antenna of the same receiver.
     """
 
     def __init__(
         self, name: str, path: AntennaPath, seed: int, options: ReceiverOptions, windows: tuple[Window, ...] = (),
-        surroundings: Surroundings | None = None, activity: float = 1.0, clock: ReceiverClock | None = None,
+        surroundings: Surroundings | None = None, activity: float = 1.0, clock: ReceiverClock | None = None, *, slope_ppm: float = 0.0,
     ) -> None:  # fmt: skip
         self._key = (seed, int.from_bytes(name.encode(), "big"))
         self._path, self._options, self._windows, self._surroundings = path, options, windows, surroundings
-        self._sky, self._atmosphere = Sky(), Atmosphere(seed, activity)
+        self._sky, self._atmosphere = Sky(), Atmosphere(seed, activity, slope_ppm)
         rng = np.random.default_rng((*self._key, 1))
         self.clock = clock or ReceiverClock(options.clock_drift, steered=options.steered, rng=rng, jumps_at_s=options.jumps_at_s)
         code_biases_m = rng.normal(0.0, 1.0, (MAX_SATELLITE // SATELLITES_PER_SYSTEM, SLOTS))
@@ -206,8 +206,7 @@ class Receiver:
         elevation = geometry[:, ELEVATION]
         wet_m = atmosphere.zenith_wet_m(offset_enu_m, time_s)
         geometry[:, TROPOSPHERE_M] += wet_m * 1.001 / np.sqrt(0.002001 + np.sin(elevation) ** 2)  # RTCA DO-229D A.4.2.4
-        waves = atmosphere.waves(offset_enu_m, time_s)
-        geometry[:, IONOSPHERE_L1_M] += atmosphere.ionosphere_l1_m(waves, geometry[:, AZIMUTH], elevation)
+        geometry[:, IONOSPHERE_L1_M] += atmosphere.ionosphere_l1_m(offset_enu_m, time_s, geometry[:, AZIMUTH], elevation)
 
     def _step_tracking(
         self, tag: GpsTime, tag_s: float, normals: NDArray[np.float64], uniforms: NDArray[np.float64], notices: NDArray[np.float64]
