@@ -63,7 +63,7 @@ class StreamOptions:
 
     def wants(self, frame: Frame) -> bool:
         """Return whether a frame is to be decoded."""
-        name = f"{frame.protocol.value}/{frame.kind}"
+        name = f"{frame.protocol}/{frame.kind}"
         return name not in self.reject and (not self.accept or name in self.accept)
 
 
@@ -205,7 +205,7 @@ class StreamDecoder:
         for kind, same in groupby(frames, _KIND):
             run = list(same)
             if self._filters and not self.options.wants(run[0]):
-                found += [(frame, self._left_out(frame)) for frame in run]
+                found += self._left_out(run)
             elif kind == _SUBFRAMES:
                 lists = self._ubx.decode_subframes(run)
                 found += [(frame, self._pass_on(some, Protocol.UBX) if some else some) for frame, some in zip(run, lists, strict=True)]
@@ -213,14 +213,15 @@ class StreamDecoder:
                 found += [(frame, self._decode(frame)) for frame in run]
         return found
 
-    def _left_out(self, frame: Frame) -> list[Message]:
-        self._dropped.ignore(frame.protocol, frame.kind)
-        return []
+    def _left_out(self, frames: list[Frame]) -> list[tuple[Frame, list[Message]]]:
+        """Count frames of one kind that nobody decodes; return each with nothing."""
+        self._dropped.ignore(frames[0].protocol, frames[0].kind, len(frames))
+        return [(frame, []) for frame in frames]
 
     def _decode(self, frame: Frame) -> list[Message]:
         decoder = self._decoders.get(frame.protocol)
         if decoder is None:
-            return self._left_out(frame)
+            return self._left_out([frame])[0][1]
         messages = decoder.decode(frame)
         return self._pass_on(messages, frame.protocol) if messages else messages
 
