@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from rtkmesh.codecs.framing import FRAMED, Framer
-from rtkmesh.codecs.messages import Decoder, DecodingCounters, Frame, FramingCounters, Message, Protocol
+from rtkmesh.codecs.messages import MAX_IGNORED_KINDS, Decoder, DecodingCounters, Frame, FramingCounters, Message, Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
 from rtkmesh.codecs.novatel import NovatelDecoder
 from rtkmesh.codecs.option_stage import OptionStage
@@ -144,6 +144,7 @@ class StreamDecoder:
     def __init__(self, options: StreamOptions | None = None) -> None:
         self.options = options = options or StreamOptions()
         self._filters = bool(options.accept or options.reject)
+        self._wanted: dict[tuple[str, Protocol], bool] = {}
         self._framer = Framer(options.protocols)
         near, wanted = options.approximate_time, options.receiver
         self._repeats, self._stage = wanted.all_ephemerides, OptionStage(wanted)
@@ -204,7 +205,7 @@ class StreamDecoder:
         found: list[tuple[Frame, list[Message]]] = []
         for kind, same in groupby(frames, _KIND):
             run = list(same)
-            if self._filters and not self.options.wants(run[0]):
+            if self._filters and not self._wants(kind, run[0]):
                 found += self._left_out(run)
             elif kind == _SUBFRAMES:
                 lists = self._ubx.decode_subframes(run)
@@ -212,6 +213,15 @@ class StreamDecoder:
             else:
                 found += [(frame, self._decode(frame)) for frame in run]
         return found
+
+    def _wants(self, kind: tuple[str, Protocol], frame: Frame) -> bool:
+        """Return whether frames of this kind are to be decoded (odd ones are not remembered: a hostile stream must not fill memory)."""
+        wanted = self._wanted.get(kind)
+        if wanted is None:
+            wanted = self.options.wants(frame)
+            if len(self._wanted) < MAX_IGNORED_KINDS:
+                self._wanted[kind] = wanted
+        return wanted
 
     def _left_out(self, frames: list[Frame]) -> list[tuple[Frame, list[Message]]]:
         """Count frames of one kind that nobody decodes; return each with nothing."""
