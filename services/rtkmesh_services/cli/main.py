@@ -77,7 +77,8 @@ def run(arguments: list[str]) -> int:
         app = application(name)
         gc.enable()
         result = app(arguments, exit_on_error=False, result_action="return_value")
-        sys.stdout.flush()
+        if sys.stdout:  # None where it was closed before we began
+            sys.stdout.flush()
     except CycloptsError:  # printed by cyclopts
         return EXIT_USAGE
     except (RtkmeshError, SchemaError, ServiceError) as error:
