@@ -7,33 +7,29 @@ the same code as plain Python.
 from collections.abc import Callable
 from typing import Any, Final, TypeVar, cast
 
-import numba
 import numpy as np
 from numba.core import config, types
+from numba.core.compiler import Compiler
 from numba.extending import intrinsic
-from numba.np import arrayobj
 from numpy.typing import NDArray
 
 from rtkmesh._borrowing import BorrowingCompiler
+from rtkmesh._dispatching import KernelDispatcher
 from rtkmesh._loading import load_machine_code_alone
 
 load_machine_code_alone()
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_Compile = Callable[[Callable[..., Any]], Callable[..., Any]]
-
-_njit: Callable[..., _Compile] = cast("Any", numba.njit)  # its stub does not know ``_nrt``
-_compile = _njit(cache=True, nogil=True, error_model="numpy", _nrt=True, pipeline_class=BorrowingCompiler)
-_compile_in_place = _njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-_array, _intrinsic, _arrays = cast("Any", types.Array), cast("Any", intrinsic), cast("Any", arrayobj)
+_OPTIONS: Final = {"nopython": True, "nogil": True, "error_model": "numpy", "boundscheck": None}
+_array, _intrinsic = cast("Any", types.Array), cast("Any", intrinsic)
 _WITHOUT_JIT: Final[bool] = cast("Any", config).DISABLE_JIT
 _ALIGN_BYTES: Final = 32
 
 
 def kernel(function: F) -> F:
     """Compile ``function`` with numba: cached on disk, without the GIL, IEEE division; arrays that it is given are borrowed."""
-    return cast("F", _compile(function))
+    return _dispatched(function, BorrowingCompiler, counting=True)
 
 
 def kernel_in_place(function: F) -> F:
@@ -42,7 +38,13 @@ def kernel_in_place(function: F) -> F:
 
     What makes an array in here does not compile; what is returned to here would never be freed (``tests/rtk/test_kernels_in_place.py``).
     """
-    return cast("F", _compile_in_place(function))
+    return _dispatched(function, Compiler, counting=False)
+
+
+def _dispatched(function: F, pipeline: type[Compiler], *, counting: bool) -> F:
+    if _WITHOUT_JIT:
+        return function
+    return cast("F", KernelDispatcher(function, targetoptions={**_OPTIONS, "_nrt": counting}, pipeline_class=pipeline))
 
 
 # --- room on the stack ---
@@ -52,14 +54,17 @@ def kernel_in_place(function: F) -> F:
 
 def _on_stack(context: Any, builder: Any, array_type: Any, sizes: Any) -> Any:
     """Write the code that makes an array of these sizes on the stack."""
+    from numba.np import arrayobj  # noqa: PLC0415  20 ms that only who compiles needs
+
+    arrays = cast("Any", arrayobj)
     number = context.get_data_type(array_type.dtype)
     count, strides = sizes[-1], [context.get_constant(types.intp, context.get_abi_sizeof(number))]
     if len(sizes) == 2:
         count, strides = builder.mul(sizes[0], sizes[1]), [builder.mul(sizes[1], strides[0]), strides[0]]
     data = builder.alloca(number, size=count)
     data.align = _ALIGN_BYTES
-    array = _arrays.make_array(array_type)(context, builder)
-    _arrays.populate_array(array, data=data, shape=sizes, strides=strides, itemsize=strides[-1], meminfo=None)
+    array = arrays.make_array(array_type)(context, builder)
+    arrays.populate_array(array, data=data, shape=sizes, strides=strides, itemsize=strides[-1], meminfo=None)
     return array._getvalue()  # noqa: SLF001  how numba's own array functions return theirs
 
 

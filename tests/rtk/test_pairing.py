@@ -266,5 +266,5 @@ def test_what_is_known_of_the_base_equals_its_definitions(steps: list[tuple[floa
         gaps = [b.epoch.time - a.epoch.time for a, b in pairwise(pairing._bases[-21:])]
         assert pairing._interval_s() == (min(gaps) if len(gaps) > 1 else -np.inf)
     time = START + (at_s - ahead_s)
-    ends = [base.order for base in pairing._bases if pairing._ends_wait(base, time)]
+    ends = [base.order for base in pairing._bases if pairing._ends_wait(base, base.epoch.time - time)]
     assert pairing._cut(time) == min(ends, default=np.inf)

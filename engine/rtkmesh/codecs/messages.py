@@ -64,10 +64,10 @@ class DecodingCounters:
     ignored: Counter[str] = field(default_factory=Counter[str])
     rejected: Counter[str] = field(default_factory=Counter[str])
 
-    def ignore(self, protocol: Protocol, kind: str) -> None:
-        """Count a frame that is not understood (the odd kinds share a counter: a hostile stream must not fill memory)."""
+    def ignore(self, protocol: Protocol, kind: str, count: int = 1) -> None:
+        """Count frames that are not understood (the odd kinds share a counter: a hostile stream must not fill memory)."""
         name = f"{protocol}/{kind}"
-        self.ignored[name if name in self.ignored or len(self.ignored) < MAX_IGNORED_KINDS else f"{protocol}/other"] += 1
+        self.ignored[name if name in self.ignored or len(self.ignored) < MAX_IGNORED_KINDS else f"{protocol}/other"] += count
 
 
 class Decoder(Interface):

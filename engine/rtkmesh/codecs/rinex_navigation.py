@@ -123,7 +123,7 @@ def _values(lines: list[str], version: float) -> list[float]:
     values: list[float] = []
     for k, line in enumerate(lines):
         first = start + _WIDTH if k == 0 else start
-        content = line[: start + 4 * _WIDTH].ljust(start + 4 * _WIDTH)
+        content = line[: start + 4 * _WIDTH].ljust(start + 4 * _WIDTH).replace("D", "E")  # Fortran's exponent, as Python reads it at once
         values += numbers(content, _WIDTH, first)
     return values
 

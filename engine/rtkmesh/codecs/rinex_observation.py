@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtkmesh.codecs.messages import DecodingCounters
 from rtkmesh.codecs.rinex_header import as_bytes, header_lines, integer, number, version_and_type
@@ -59,8 +60,8 @@ class ObservationHeader:
         )
 
     def _reference_point(self) -> tuple[float, float, float] | None:
-        if self.position_ecef_m is None:
-            return None
+        if self.position_ecef_m is None or self.antenna_delta_hen_m == (0.0, 0.0, 0.0):
+            return self.position_ecef_m
         height, east, north = self.antenna_delta_hen_m
         marker = np.array(self.position_ecef_m)
         x, y, z = (marker + enu_from_ecef_at(marker).T @ np.array([east, north, height])).tolist()
@@ -90,6 +91,7 @@ class ObservationReader:
         self._carrier = np.zeros((MAX_SATELLITE, 10), np.int8)
         self._days: dict[bytes, GpsTime] = {}
         self._satellites: dict[bytes, int] = {}
+        self._seen: tuple[list[bytes], NDArray[np.int16], NDArray[np.int64], list[str]] = [], *self._sorted([])
         self._use_layout()
 
     def __iter__(self) -> Iterator[Epoch]:
@@ -140,7 +142,7 @@ class ObservationReader:
         if time is None:
             self._refuse("epoch line")
             return line + 1, None
-        names = [self._text[start : start + 3] for start in self._starts[line + 1 : behind]]
+        names = [self._text[start : start + 3] for start in self._starts[line + 1 : behind].tolist()]
         return behind, self._epoch(time, flag, names, range(line + 1, behind), 3, 0)
 
     def _read_v2(self, line: int) -> tuple[int, Epoch | None]:
@@ -190,15 +192,12 @@ class ObservationReader:
 
     def _epoch(self, time: GpsTime, flag: int, names: list[bytes], lines: range, skip: int, per_line: int) -> Epoch | None:
         """Return the epoch of these satellites, each beginning at its line; of a satellite that is there twice the first counts."""
-        line_of: dict[int, int] = {}
-        for name, line in zip(names, lines, strict=True):
-            satellite = self._satellite(name)
-            if satellite and satellite not in line_of:
-                line_of[satellite] = line
-            else:
-                self._refuse("satellite twice" if satellite else "satellite id")
-        satellites = np.array(sorted(line_of), np.int16)
-        first_line = np.array([line_of[satellite] for satellite in satellites.tolist()], np.int64)
+        if names != self._seen[0]:  # most epochs have the satellites of the one before
+            self._seen = names, *self._sorted(names)
+        _, satellites, order, refused = self._seen
+        for reason in refused:
+            self._refuse(reason)
+        first_line = lines.start + lines.step * order
         size = len(satellites) * self._tables.signals.shape[1]
         row_satellite, row_signal = np.empty(size, np.int16), np.empty(size, np.int16)
         row_flags, values = np.empty(size, np.uint8), np.empty((4, size))
@@ -214,6 +213,19 @@ class ObservationReader:
             time, row_satellite, row_signal[:count], self._channel[row_satellite], row_flags[:count],
             values[0, :count], values[1, :count], values[2, :count], values[3, :count], unknown[0], unknown[1], unknown[2],
         )  # fmt: skip
+
+    def _sorted(self, names: list[bytes]) -> tuple[NDArray[np.int16], NDArray[np.int64], list[str]]:
+        """Return the satellites of these names in rising order, which name is whose, and why others are refused."""
+        place_of: dict[int, int] = {}
+        refused: list[str] = []
+        for place, name in enumerate(names):
+            satellite = self._satellite(name)
+            if satellite and satellite not in place_of:
+                place_of[satellite] = place
+            else:
+                refused.append("satellite twice" if satellite else "satellite id")
+        satellites = sorted(place_of)
+        return np.array(satellites, np.int16), np.array([place_of[satellite] for satellite in satellites], np.int64), refused
 
     def _satellite(self, name: bytes) -> int:
         """Return the number of a satellite name (a blank system is the file's), 0 if it is none."""

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from rtkmesh.codecs.framing import FRAMED, Framer
-from rtkmesh.codecs.messages import Decoder, DecodingCounters, Frame, FramingCounters, Message, Protocol
+from rtkmesh.codecs.messages import MAX_IGNORED_KINDS, Decoder, DecodingCounters, Frame, FramingCounters, Message, Protocol
 from rtkmesh.codecs.nmea import NmeaDecoder
 from rtkmesh.codecs.novatel import NovatelDecoder
 from rtkmesh.codecs.option_stage import OptionStage
@@ -63,7 +63,7 @@ class StreamOptions:
 
     def wants(self, frame: Frame) -> bool:
         """Return whether a frame is to be decoded."""
-        name = f"{frame.protocol.value}/{frame.kind}"
+        name = f"{frame.protocol}/{frame.kind}"
         return name not in self.reject and (not self.accept or name in self.accept)
 
 
@@ -144,6 +144,7 @@ class StreamDecoder:
     def __init__(self, options: StreamOptions | None = None) -> None:
         self.options = options = options or StreamOptions()
         self._filters = bool(options.accept or options.reject)
+        self._wanted: dict[tuple[str, Protocol], bool] = {}
         self._framer = Framer(options.protocols)
         near, wanted = options.approximate_time, options.receiver
         self._repeats, self._stage = wanted.all_ephemerides, OptionStage(wanted)
@@ -204,8 +205,8 @@ class StreamDecoder:
         found: list[tuple[Frame, list[Message]]] = []
         for kind, same in groupby(frames, _KIND):
             run = list(same)
-            if self._filters and not self.options.wants(run[0]):
-                found += [(frame, self._left_out(frame)) for frame in run]
+            if self._filters and not self._wants(kind, run[0]):
+                found += self._left_out(run)
             elif kind == _SUBFRAMES:
                 lists = self._ubx.decode_subframes(run)
                 found += [(frame, self._pass_on(some, Protocol.UBX) if some else some) for frame, some in zip(run, lists, strict=True)]
@@ -213,14 +214,24 @@ class StreamDecoder:
                 found += [(frame, self._decode(frame)) for frame in run]
         return found
 
-    def _left_out(self, frame: Frame) -> list[Message]:
-        self._dropped.ignore(frame.protocol, frame.kind)
-        return []
+    def _wants(self, kind: tuple[str, Protocol], frame: Frame) -> bool:
+        """Return whether frames of this kind are to be decoded (odd ones are not remembered: a hostile stream must not fill memory)."""
+        wanted = self._wanted.get(kind)
+        if wanted is None:
+            wanted = self.options.wants(frame)
+            if len(self._wanted) < MAX_IGNORED_KINDS:
+                self._wanted[kind] = wanted
+        return wanted
+
+    def _left_out(self, frames: list[Frame]) -> list[tuple[Frame, list[Message]]]:
+        """Count frames of one kind that nobody decodes; return each with nothing."""
+        self._dropped.ignore(frames[0].protocol, frames[0].kind, len(frames))
+        return [(frame, []) for frame in frames]
 
     def _decode(self, frame: Frame) -> list[Message]:
         decoder = self._decoders.get(frame.protocol)
         if decoder is None:
-            return self._left_out(frame)
+            return self._left_out([frame])[0][1]
         messages = decoder.decode(frame)
         return self._pass_on(messages, frame.protocol) if messages else messages
 

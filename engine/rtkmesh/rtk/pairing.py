@@ -16,7 +16,7 @@ once, and rover epochs leave in rising time order.
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import pairwise, takewhile
+from itertools import islice, pairwise, takewhile
 from math import floor, inf
 from typing import Final
 
@@ -319,9 +319,10 @@ class Pairing:
         """Return the stream order of the first base epoch that ends the wait for ``time`` on the log's clock; inf if none yet."""
         cut, from_s = inf, min(0.0, self.options.tolerance_s - self._longest_s)
         for base in reversed(self._bases):
-            if base.epoch.time - time < from_s:
+            passed_s = base.epoch.time - time
+            if passed_s < from_s:
                 break
-            if self._ends_wait(base, time):
+            if self._ends_wait(base, passed_s):
                 cut = min(cut, base.order)
         return max(cut, self._passed(time)) if self.options.interpolate else cut
 
@@ -331,9 +332,8 @@ class Pairing:
         newer = takewhile(lambda base: base.epoch.time > limit, reversed(self._bases))
         return min((base.order for base in newer), default=inf)
 
-    def _ends_wait(self, base: _Base, time: GpsTime) -> bool:
-        """Replay: whether at this base epoch nothing was left to wait for: a function of the base's log up to it."""
-        passed_s = base.epoch.time - time
+    def _ends_wait(self, base: _Base, passed_s: float) -> bool:
+        """Replay: whether at this base epoch, ``passed_s`` later, nothing was left to wait for: a function of the base's log up to it."""
         return passed_s >= self.options.maximum_wait_s or passed_s > self.options.tolerance_s - base.interval_s
 
     def _match(self, time: GpsTime, cut: float) -> Epoch | None:
@@ -352,7 +352,8 @@ class Pairing:
         return next((base.epoch for base in reversed(self._bases) if base.epoch.time <= limit and base.order <= cut), None)
 
     def _oldest_after(self, time: GpsTime, cut: float) -> Epoch | None:
-        return next((base.epoch for base in self._bases if base.epoch.time > time and base.order <= cut), None)
+        after = bisect_right(self._bases, time, key=_time_of)
+        return next((base.epoch for base in islice(self._bases, after, None) if base.order <= cut), None)
 
     def _first_newer(self, time: GpsTime) -> _Base | None:
         """Return the base epoch beyond ``time`` that arrived first."""

@@ -8,9 +8,7 @@ clock, as old as that epoch is, and the slip is where it was recorded. A base th
 over seconds that can be the reflections of a poor place as well, so such a phase has no value until the later epoch.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
-from math import isfinite, sqrt
+from math import hypot, isfinite, isnan, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,6 +24,7 @@ from rtkmesh.models.atmosphere import klobuchar_vector
 from rtkmesh.models.ephemeris_table import ROW, Issues, select_issues
 from rtkmesh.models.geometry import GEOMETRY, receiver_geometry, receiver_model
 from rtkmesh.models.orbit import LONGEST_RANGE_M, SHORTEST_RANGE_M, STATE, satellite_states
+from rtkmesh.models.single import Plain
 from rtkmesh.rtk.matching import runs
 from rtkmesh.rtk.noise import CLOCK_DRIFT_MPS
 from rtkmesh.rtk.ordered import sort_finite
@@ -57,16 +56,17 @@ class Way(NamedTuple):
 
 
 class Between(NamedTuple):
-    """Codes (m) and phases (cycles) per signal of the earlier epoch, and its wavelength (m), NaN where not known; ``sigma_m``: what
-    interpolation, or its age, adds to a phase; ``partner``: the signal's row in the later epoch, -1 without; ``agreed``: the change of the
-    clock is known.
+    """The columns of an epoch between two, per signal of the earlier one, NaN where not known; ``agreed``: the change of the clock is
+    known.
     """
 
     pseudorange_m: Vector
     phase_cyc: Vector
-    wavelength_m: Vector
-    sigma_m: Vector
-    partner: Indices
+    doppler_hz: Vector
+    cn0_dbhz: Vector
+    lock_s: Vector
+    pseudorange_sigma_m: Vector
+    phase_sigma_cyc: Vector
     agreed: bool
 
 
@@ -77,37 +77,24 @@ def resampled(
     """Return the epoch of a base that stands at ``base_ecef_m`` as recorded at ``time``, between the two; None where they do not fit
     together: too few phases agree on the change of its clock.
 
-    It has the signals of the earlier epoch. Slip flags are those of the earlier one, unless they were heard (``slips_told``); the later
-    one's own come with it. The sigma of a phase has what interpolation, or its age, adds.
+    It has the signals of the earlier epoch, and of what the receiver says of them the worse of both. Slip flags are those of the earlier
+    one, unless they were heard (``slips_told``); the later one's own come with it. The sigma of a phase has what interpolation, or its age,
+    adds.
     """
-    part = (time - earlier.time) / (later.time - earlier.time)
-    way = Way(issues, base_ecef_m, klobuchar_vector(klobuchar))
-    made = between(earlier.signals, later.signals, time.week, time.tow_s, part, way)
-    return _worded(earlier, later, time, made, slips_told=slips_told) if made.agreed else None
+    part, way = (time - earlier.time) / (later.time - earlier.time), (tuple(issues), base_ecef_m, klobuchar_vector(klobuchar))
+    *columns, agreed = _between(earlier.plain_signals, later.plain_signals, time.week, time.tow_s, part, way)
+    flags = earlier.flags & ~np.uint8(SLIP) if slips_told else earlier.flags
+    return Epoch(time, earlier.satellite, earlier.signal, earlier.channel, flags, *columns) if agreed else None
 
 
-def _worded(earlier: Epoch, later: Epoch, time: GpsTime, made: Between, *, slips_told: bool) -> Epoch:
-    """Return the epoch with what the receiver says of its signals: the worse of both epochs."""
-    shared = made.partner >= 0
-
-    def worse(name: str, pick: Callable[[Vector, Vector], Vector]) -> Vector:
-        own: Vector = getattr(earlier, name)
-        theirs: Vector = getattr(later, name)[made.partner]
-        return np.where(shared, pick(own, theirs), own)
-
-    lock_s = np.minimum(earlier.lock_s + (time - earlier.time), worse("lock_s", np.fmax))
-    return replace(
-        earlier,
-        time=time,
-        flags=earlier.flags & ~np.uint8(SLIP) if slips_told else earlier.flags,
-        pseudorange_m=made.pseudorange_m,
-        phase_cyc=made.phase_cyc,
-        doppler_hz=np.full(len(earlier), np.nan),
-        cn0_dbhz=worse("cn0_dbhz", np.fmin),
-        lock_s=lock_s,
-        pseudorange_sigma_m=worse("pseudorange_sigma_m", np.fmax),
-        phase_sigma_cyc=np.hypot(np.nan_to_num(worse("phase_sigma_cyc", np.fmax)), made.sigma_m / made.wavelength_m),
-    )
+@kernel
+def _between(earlier: Plain, later: Plain, week: int, tow_s: float, part: float, way: Plain) -> Plain:
+    """Return the fields of ``between``: without names they cross sooner (rtk/crossing.py)."""
+    made = between(Signals(*earlier), Signals(*later), week, tow_s, part, Way(Issues(*way[0]), way[1], way[2]))
+    return (
+        made.pseudorange_m, made.phase_cyc, made.doppler_hz, made.cn0_dbhz, made.lock_s, made.pseudorange_sigma_m, made.phase_sigma_cyc,
+        made.agreed,
+    )  # fmt: skip
 
 
 @kernel
@@ -127,7 +114,36 @@ def between(earlier: Signals, later: Signals, week: int, tow_s: float, part: flo
     codes_m, phases_cyc, sigma_m = np.empty(n), np.empty(n), np.empty(n)
     agreed = _bridge(earlier, later, partner, wavelength_m, part, residual_m, sigma_m)
     _put_back(week, tow_s, index, wavelength_m, rows, way, code_m[0], residual_m[0], codes_m, phases_cyc)
-    return Between(codes_m, phases_cyc, wavelength_m, sigma_m, partner, agreed)
+    words, rates_hz = np.empty((4, n)), np.full(n, np.nan)
+    _take_worse(earlier, later, partner, (week - earlier.week) * SECONDS_PER_WEEK + (tow_s - earlier.tow_s), words)
+    for k in range(n):
+        words[3, k] = hypot(words[3, k], sigma_m[k] / wavelength_m[k])
+    return Between(codes_m, phases_cyc, rates_hz, words[0], words[1], words[2], words[3], agreed)
+
+
+@kernel_in_place
+def _take_worse(earlier: Signals, later: Signals, partner: Indices, after_s: float, words: Matrix) -> None:
+    """Write what a receiver says of the signals ``after_s`` the earlier epoch, the worse of both: C/N0 (dB-Hz), lock time (s), sigmas of
+    code (m) and phase (cycles; 0 where it does not say).
+    """
+    for k in range(len(partner)):
+        cn0, lock_s, code_m, phase_cyc = earlier.cn0_dbhz[k], earlier.lock_s[k], earlier.pseudorange_sigma_m[k], earlier.phase_sigma_cyc[k]
+        now_s, j = lock_s + after_s, int(partner[k])
+        if j >= 0:
+            cn0, lock_s = _smaller(cn0, later.cn0_dbhz[j]), _larger(lock_s, later.lock_s[j])
+            code_m, phase_cyc = _larger(code_m, later.pseudorange_sigma_m[j]), _larger(phase_cyc, later.phase_sigma_cyc[j])
+        words[0, k], words[1, k] = cn0, np.nan if isnan(now_s + lock_s) else min(now_s, lock_s)
+        words[2, k], words[3, k] = code_m, 0.0 if isnan(phase_cyc) else phase_cyc
+
+
+@kernel_in_place
+def _smaller(a: float, b: float) -> float:
+    return a if a <= b or isnan(b) else b
+
+
+@kernel_in_place
+def _larger(a: float, b: float) -> float:
+    return a if a >= b or isnan(b) else b
 
 
 @kernel_in_place

@@ -4,6 +4,7 @@ Exit codes of every subcommand: 0 done, 1 not done (no solution, no answer), 2 w
 reached, 4 refused, 124 no answer in time, 130 interrupted.
 """
 
+import gc
 import os
 import sys
 from difflib import get_close_matches
@@ -73,7 +74,11 @@ def run(arguments: list[str]) -> int:
     if not name.startswith("-") and name not in COMMANDS:
         return _unknown(name)
     try:
-        result = application(name)(arguments, exit_on_error=False, result_action="return_value")
+        app = application(name)
+        gc.enable()
+        result = app(arguments, exit_on_error=False, result_action="return_value")
+        if sys.stdout:  # None where it was closed before we began
+            sys.stdout.flush()
     except CycloptsError:  # printed by cyclopts
         return EXIT_USAGE
     except (RtkmeshError, SchemaError, ServiceError) as error:
@@ -89,9 +94,13 @@ def run(arguments: list[str]) -> int:
 
 def main() -> None:
     """Run the command line and end the process with its exit code."""
+    gc.disable()  # until the command is imported: there is nothing to collect yet
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads only cost time and memory
     use_kernel_cache()
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    if sys.argv[1:2] == ["solve"]:  # which has closed all that it opened
+        os._exit(code)  # the interpreter's farewell takes as long as solving a hundred epochs
+    sys.exit(code)
 
 
 def _unknown(name: str) -> int:

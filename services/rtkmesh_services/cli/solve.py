@@ -180,29 +180,45 @@ def solve(request: Annotated[Request, Parameter(name="*")]) -> int:
         raise SourceError(f"mode 'fixed' needs the rover's position: {where}")
     position = _base_position(request) or (told.base_ecef_m if told else None)
 
-    from rtkmesh.errors import OptionError
-    from rtkmesh_services.cli.offline import Run, SolutionType, open_inputs
-    from rtkmesh_services.cli.recordings import day_of
+    run = _begun(request, table, folder, position)
     from rtkmesh_services.cli.solve_display import ProgressBar, report
-    from rtkmesh_services.mapping.options import session_options
 
-    date = day_of(request.date) if request.date else None
-    inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date, request.receiver_options)
-    try:
-        options = session_options(table, replay=True, base_position_ecef_m=position, folder=folder)
-    except OptionError as error:
-        raise SourceError(f"{file}: {error}" if (file := request.config or request.conf) else str(error)) from error
-    run = Run(inputs, options, SolutionType(request.direction or "forward"), causal=request.causal)
-    gc.freeze()  # what is loaded by now stays: looking through it again and again was a seventh of a short run
     try:
         with _output(request) as output, ProgressBar(run, shown=not request.quiet and sys.stderr.isatty()):
             _write(run, run.solutions(), request, output)
+            if output is not None:
+                output.flush()
     except BrokenPipeError:
         raise
     except OSError as error:
         raise SourceError(f"{request.out or 'standard output'}: {error.strerror}") from error
     report(run, as_json=request.as_json, quiet=request.quiet)
     return _SOLVED if run.tally.solved else _UNSOLVED
+
+
+def _begun(request: Request, table: SolverTable, folder: Path, base_ecef_m: Position | None) -> "Run":
+    """Return the run over the opened recordings. What is loaded for it stays: it is not looked through, neither now nor later."""
+    gc.disable()
+    try:
+        return _run_of(request, table, folder, base_ecef_m)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def _run_of(request: Request, table: SolverTable, folder: Path, base_ecef_m: Position | None) -> "Run":
+    from rtkmesh.errors import OptionError
+    from rtkmesh_services.cli.offline import Run, SolutionType, open_inputs
+    from rtkmesh_services.cli.recordings import day_of
+    from rtkmesh_services.mapping.options import session_options
+
+    date = day_of(request.date) if request.date else None
+    inputs = open_inputs(request.rover, None if table.mode == "single" else request.base, request.nav, date, request.receiver_options)
+    try:
+        options = session_options(table, replay=True, base_position_ecef_m=base_ecef_m, folder=folder)
+    except OptionError as error:
+        raise SourceError(f"{file}: {error}" if (file := request.config or request.conf) else str(error)) from error
+    return Run(inputs, options, SolutionType(request.direction or "forward"), causal=request.causal)
 
 
 def _conf_of(request: Request) -> "ConfOptions | None":
@@ -322,17 +338,20 @@ def _output(request: Request) -> AbstractContextManager[TextIO | None]:
 
 def _write(run: "Run", results: "Iterator[Solution]", request: Request, output: TextIO | None) -> None:
     """Write the header before the first solution, then a line per solution as it comes."""
-    from rtkmesh_services.mapping.solution import solution_message
+    from rtkmesh_services.mapping.solution import position_message, solution_message
     from rtkmesh_services.texts import TextAbout
 
-    writer, headed = _writer(request), False
+    writer, headed, mode = _writer(request), False, run.options.rtk.mode.value
     for sequence, solution in enumerate(results):
         if output is None:
             continue
         if not headed:
             output.write(writer.header(TextAbout(f"rtkmesh {__version__}", _notes(run, solution))).decode())
             headed = True
-        message = solution_message(solution, source="", start_id="", sequence=sequence, mode=run.options.rtk.mode.value)
+        if request.form == "json":
+            message = solution_message(solution, source="", start_id="", sequence=sequence, mode=mode)
+        else:
+            message = position_message(solution)
         output.write(writer.epoch(message).decode())
 
 

@@ -1,17 +1,19 @@
-"""What ``rtkmesh solve`` shows: a progress bar on a terminal, a summary table on standard error, or JSON on standard output."""
+"""What ``rtkmesh solve`` shows: a progress bar on a terminal, a summary table on standard error, or JSON on standard output.
+
+What draws is imported when it draws: that takes longer than solving a hundred epochs.
+"""
 
 import json
 import sys
 from types import TracebackType
-from typing import Any, Final, Self
-
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from rtkmesh.rtk.solution import Reason, Status
 from rtkmesh_services.cli.offline import Run, SolutionType
-from rtkmesh_services.cli.progress import bar
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+    from rich.table import Table
 
 _DRAW_EVERY: Final = 50  # epochs
 _HINTS: Final = {
@@ -28,6 +30,8 @@ class ProgressBar:
         run.watch = self.advance
         self._progress: Progress | None = None
         if shown:
+            from rtkmesh_services.cli.progress import bar
+
             self._progress = bar()
 
     def __enter__(self) -> Self:
@@ -60,6 +64,8 @@ def report(run: Run, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         sys.stdout.write(json.dumps({**_figures(run), "antennas": _antennas(run), "rejected": run.faults()}, indent=1) + "\n")
     elif not quiet:
+        from rich.console import Console
+
         Console(stderr=True).print(_table(run))
 
 
@@ -75,7 +81,9 @@ def _antennas(run: Run) -> dict[str, str | bool]:
     return {**run.session.antennas, "corrected": run.session.corrects_antennas}
 
 
-def _table(run: Run) -> Table:
+def _table(run: Run) -> "Table":
+    from rich.table import Table
+
     tally = run.tally
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("epochs", str(tally.epochs))

