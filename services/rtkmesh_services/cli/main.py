@@ -7,9 +7,10 @@ reached, 4 refused, 124 no answer in time, 130 interrupted.
 import gc
 import os
 import sys
+from contextlib import suppress
 from difflib import get_close_matches
 from importlib import import_module
-from typing import Final
+from typing import Final, NoReturn
 
 from cyclopts import App, CycloptsError
 
@@ -99,8 +100,16 @@ def main() -> None:
     use_kernel_cache()
     code = run(sys.argv[1:])
     if sys.argv[1:2] == ["solve"]:  # which has closed all that it opened
-        os._exit(code)  # the interpreter's farewell takes as long as solving a hundred epochs
+        _leave(code)
     sys.exit(code)
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process at once: the interpreter's farewell takes as long as solving a hundred epochs."""
+    with suppress(OSError, ValueError):  # what was printed before an error; nobody reads it any more, or it was closed
+        if sys.stdout:
+            sys.stdout.flush()
+    os._exit(code)
 
 
 def _unknown(name: str) -> int:
