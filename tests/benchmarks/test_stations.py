@@ -49,3 +49,13 @@ def test_an_hour_beside_rtklib(benchmarks: SimpleNamespace) -> None:
     assert found[stations.OURS].fixes > 100
     assert found["b34 continuous"].fixes - found["b34 continuous"].wrong > 20
     assert list(stations.measure(stations.level_of("GR:20:unknown"), 1, 4, hours=0.1)) == [stations.OURS]
+
+
+def test_waves_of_the_ionosphere_make_no_lasting_wrong_fixes(benchmarks: SimpleNamespace) -> None:
+    """Three hours of stations 50 km apart: as long as ionospheres lasted for an hour in both filters, 88 of these fixes were wrong."""
+    stations = benchmarks.stations
+    level = stations.level_of("GR:50:unknown")
+    found = stations.stations_of(level, 1, 3)
+    judged = stations.judge(found, list(stations.solutions_of(level, found, stations.seen_by(found, 360))))
+    assert judged.fixed.mean() > 0.9
+    assert judged.wrong.sum() <= 20

@@ -48,6 +48,9 @@ _IONOSPHERE_SIGMA_PPM: Final = 0.6e-6
 _INFORMED_SIGMA_PPM: Final = 1.0e-6
 _EXCESS_SIGMA: Final = 0.5  # Klobuchar's model leaves half of an ionosphere (IS-GPS-200, 20.3.3.5.2.5)
 _IONOSPHERE_MEMORY_S: Final = 3600.0  # the time in which a satellite's ray comes to other parts of it
+# The same beyond 10 km, where two ends are apart by what waves of minutes do: double differences between bands of nl_35km change by as much
+# in 10 minutes as in an hour (20 mm, 22). An hour makes a state of what the troposphere and antennas do, and wrong integers fit.
+_FAR_IONOSPHERE_MEMORY_S: Final = 600.0
 _ZENITH_WALK_M: Final = 5e-5  # per square root of second
 # Between antennas that are not both calibrated the zenith delay has little freedom: their patterns would take it for decimetres of height.
 _ZENITH_HELD: Final = (0.0, 0.002)
@@ -163,19 +166,25 @@ def conditions(setup: Setup, length_m: float, atmospheric: bool, age_s: float, b
     return Conditions(np.array((setup.phase_a_m, setup.phase_b_m, setup.code_ratio, common)), setup.mask_rad, base_s, setup.antennas)
 
 
+@kernel_in_place
+def _is_far(length_m: float, setup: Setup) -> bool:
+    """Return whether a baseline is so long that the informed filter has a say; moving bases have none."""
+    return bool(length_m > FAR_M and not setup.slip.base_moves)
+
+
 @kernel
 def walks_of(setup: Setup, length_m: float, memory: Vector) -> Walks:
     """Return the random walks of the keyed states of the witness for a baseline of this length."""
-    return _walks(setup, _IONOSPHERE_SIGMA_PPM * length_m, memory)
+    return _walks(setup, length_m, _IONOSPHERE_SIGMA_PPM, memory)
 
 
 @kernel
-def _walks(setup: Setup, ionosphere_sigma_m: float, memory: Vector) -> Walks:
-    """Return the random walks of the keyed states of a filter with ionospheres that are usually so large."""
-    calibrated = len(setup.antennas) > 0
-    zenith = (_ZENITH_WALK_M, ZENITH_SIGMA_M) if calibrated else _ZENITH_HELD
+def _walks(setup: Setup, length_m: float, ionosphere_m_per_m: float, memory: Vector) -> Walks:
+    """Return the random walks of the keyed states of a filter with ionospheres that are usually so large per metre of baseline."""
+    memory_s = _FAR_IONOSPHERE_MEMORY_S if _is_far(length_m, setup) else _IONOSPHERE_MEMORY_S
+    zenith = (_ZENITH_WALK_M, ZENITH_SIGMA_M) if len(setup.antennas) > 0 else _ZENITH_HELD
     return Walks(
-        setup.ambiguity_walk_cyc, _IONOSPHERE_MEMORY_S, ionosphere_sigma_m, zenith[0], zenith[1], _EXCESS_SIGMA, _SLOPE_WALK_M,
+        setup.ambiguity_walk_cyc, memory_s, ionosphere_m_per_m * length_m, zenith[0], zenith[1], _EXCESS_SIGMA, _SLOPE_WALK_M,
         ((memory[SLOPE_G1], memory[SLOPE_SIGMA_G1]), (memory[SLOPE_G2], memory[SLOPE_SIGMA_G2])),
     )  # fmt: skip
 
@@ -225,7 +234,7 @@ def solve(before: Filter, informed: Filter, d: Differences, atmospheric: bool, k
     if distinct(d.pairs.satellite, coded) < 4:
         return unsolved(FEW_COMMON, before, informed)
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
-    far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
+    far = atmospheric and _is_far(length_m, setup)
     atmosphere, walks = (2 if far else 3) if atmospheric else 0, walks_of(setup, length_m, known.memory)
     if far:
         blur_glonass_codes(d)
@@ -326,7 +335,7 @@ def _find_integers(
     sharp = with_sharper_phases(f, look.sharper) if look.sharper < 1.0 else f
     free = decide(sharp, candidates, known.memory, setup.resolve, known.prediction, time_s, look.level)
     if look.far:
-        walks = _walks(setup, _INFORMED_SIGMA_PPM * look.length_m, known.memory)
+        walks = _walks(setup, look.length_m, _INFORMED_SIGMA_PPM, known.memory)
         use = Use(setup.slip, walks, known.informed_scale, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
         settled = settle(f, informed, candidates, free, d, motion, use, known.memory, setup.resolve, known.prediction, look.level)
         note_agreement(known.memory, confirmed, time_s)
