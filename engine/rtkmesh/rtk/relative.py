@@ -29,6 +29,7 @@ from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellite
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution, describe_slopes
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, blur_glonass_codes, observe
 from rtkmesh.rtk.separation import Codes, codes_alone
+from rtkmesh.rtk.shade import leave_shade
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
 from rtkmesh.rtk.slips import SLOW_S, SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
@@ -227,6 +228,7 @@ def solve(before: Filter, informed: Filter, d: Differences, atmospheric: bool, k
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     far = atmospheric and length_m > FAR_M and not setup.slip.base_moves
     atmosphere, walks = (2 if far else 3) if atmospheric else 0, walks_of(setup, length_m, known.memory)
+    leave_shade(before, d, known.scale, model_ecef_m)
     if far:
         blur_glonass_codes(d)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
