@@ -37,25 +37,27 @@ PRIOR_DOF: Final = 10.0
 SHADED_MOST: Final = 200.0
 LIT_MOST: Final = 400.0
 MOST_PER_DOF: Final = 900.0  # a code that is farther off is no reflection
-# So much worse, in variance, are reflections at least: simulated streets have 3 to 60, forests 0.7 to 1; umea_r001 (trees) 0.7 to 1.2,
-# galway_b 2 to 12 and 5 to 38.
-REFLECTED: Final = 10.0
+# So much worse, in variance, are reflections at least: simulated streets have 2 to 48, forests 0.7 to 1; umea_r001 (trees) has 0.6 to 1.2,
+# the walk of galway_b 2 to 12 and 5 to 38 (10 and 90 %).
+REFLECTED: Final = 7.0
 ENOUGH: Final = 5  # satellites in the light that can do without the others
 REFLECTED_CODE_M: Final = 30.0  # sigma: longer ways than these are not often followed by a receiver
 
 
 @kernel
-def leave_shade(f: Filter, d: Differences, scale: Matrix, model_ecef_m: Vector) -> None:
-    """Put reflected signals aside: of those in shade, where these are reflections and the others are enough, codes say hardly anything
-    and phases nothing, unless their integers are held. ``scale`` learns what codes in shade are worth; the differences were modelled for a
-    rover at ``model_ecef_m``.
+def leave_shade(f: Filter, d: Differences, scale: Matrix, model_ecef_m: Vector) -> bool:
+    """Put reflected signals aside, and return whether there are any: of those in shade, where these are reflections and the others are
+    enough, codes say hardly anything and phases nothing, but those of held integers. ``scale`` learns what codes in shade are worth;
+    the differences were modelled for a rover at ``model_ecef_m``.
     """
     shaded = scratch_flags(len(d.table))
     if find_shaded(d, shaded) == 0:
-        return
+        return False
     learn_shade(d, shaded, scale, model_ecef_m)
-    if is_reflecting(scale) and _lit_satellites(d, shaded) >= ENOUGH:
-        _put_aside(f, d, shaded)
+    if not is_reflecting(scale) or _lit_satellites(d, shaded) < ENOUGH:
+        return False
+    _put_aside(f, d, shaded)
+    return True
 
 
 @kernel_in_place
