@@ -13,7 +13,7 @@ from rtkmesh.models.ephemeris_table import Issues
 from rtkmesh.models.single import Located
 from rtkmesh.rtk.code_places import PLACE_SQUARES
 from rtkmesh.rtk.memory import forget
-from rtkmesh.rtk.noise import PHASE
+from rtkmesh.rtk.noise import PHASE, SHADE
 from rtkmesh.rtk.predicted import FULL_STEP_S
 
 Vector = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Past(NamedTuple):
         if before is None:
             return
         for scale, then in zip((self.scale, self.informed_scale), before, strict=True):
-            for part in (np.s_[:PHASE], np.s_[PHASE, :PLACE_SQUARES]):  # places of codes know of time
+            for part in (np.s_[:PHASE], np.s_[PHASE, :PLACE_SQUARES], np.s_[SHADE]):  # places of codes know of time
                 scale[part] = then[part] + step_s / FULL_STEP_S * (scale[part] - then[part])
 
     def forget(self) -> None:

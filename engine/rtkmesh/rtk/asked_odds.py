@@ -47,6 +47,12 @@ def code_level(scale: Matrix) -> float:
 
 
 @kernel_in_place
+def at_least_street(level: float) -> float:
+    """Return the level of codes that reflections were put aside of: those that are left do not tell any more what place it is."""
+    return max(level, 2.0 * STREET_CODES)
+
+
+@kernel_in_place
 def is_reflected(level: float) -> bool:
     """Return whether codes of this variance factor (infinite: not known) are worse than those of patches in the open."""
     return are_worse(level, FAIR_CODES)

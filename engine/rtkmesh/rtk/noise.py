@@ -48,13 +48,14 @@ PHASE_MOST: Final = 4.0  # 6 mm, patch antennas; a wrong fix must not make itsel
 
 # The variance factor of pseudoranges per system is learned from residuals: one default cannot suit survey antennas and patches. Its rows
 # are sums of squared normalised residuals and their degrees of freedom; the estimate is the posterior mean of a scaled inverse chi-square
-# with SCALE_PRIOR_DOF degrees of freedom at 1. The first two columns of the third row are the same two numbers of all phases.
-SQUARES, DOF, PHASE = 0, 1, 2
+# with SCALE_PRIOR_DOF degrees of freedom at 1. The first two columns of the third row are the same two numbers of all phases; the fourth
+# row is what codes in shade are worth (``shade``).
+SQUARES, DOF, PHASE, SHADE = range(4)
 
 
 def new_code_scale() -> Matrix:
-    """Return the memory (3, systems) of what codes have shown of their noise: nothing."""
-    return np.zeros((3, len(SYSTEMS)))
+    """Return the memory (4, systems) of what codes have shown of their noise: nothing."""
+    return np.zeros((4, len(SYSTEMS)))
 
 
 @kernel_in_place

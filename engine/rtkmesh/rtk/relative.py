@@ -13,7 +13,7 @@ from rtkmesh.models.tides import solid_tides
 from rtkmesh.rtk.acceptance import FAR_M, SURE
 from rtkmesh.rtk.agreement import note_fix, note_proof
 from rtkmesh.rtk.ambiguity import Candidates, held_among, pairs_of
-from rtkmesh.rtk.asked_odds import code_level
+from rtkmesh.rtk.asked_odds import at_least_street, code_level
 from rtkmesh.rtk.bookkeeping import Arranged, Walks, find_candidates, is_finite, lay_out, remember
 from rtkmesh.rtk.calm import is_atmospheric
 from rtkmesh.rtk.code_arcs import since_seen
@@ -29,6 +29,7 @@ from rtkmesh.rtk.published import far_covariance, fix_covariance, held_satellite
 from rtkmesh.rtk.report import FIGURES, describe_fit, describe_guard, describe_pairs, describe_resolution, describe_slopes
 from rtkmesh.rtk.residuals import CODE, Conditions, Differences, blur_glonass_codes, observe
 from rtkmesh.rtk.separation import Codes, codes_alone
+from rtkmesh.rtk.shade import leave_shade
 from rtkmesh.rtk.single_epoch import held_norm, sharpness, with_sharper_phases
 from rtkmesh.rtk.slips import SLOW_S, SlipSetup
 from rtkmesh.rtk.state import DYNAMIC, Filter
@@ -236,6 +237,7 @@ def solve(before: Filter, informed: Filter, d: Differences, atmospheric: bool, k
     length_m = sqrt(before.x[0] ** 2 + before.x[1] ** 2 + before.x[2] ** 2)
     far = atmospheric and _is_far(length_m, setup)
     atmosphere, walks = (2 if far else 3) if atmospheric else 0, walks_of(setup, length_m, known.memory)
+    mirrored = not far and leave_shade(before, d, known.scale, model_ecef_m)
     if far:
         blur_glonass_codes(d)
     expected = expected_step(known, model_ecef_m, setup.slip.base_moves)
@@ -251,7 +253,7 @@ def solve(before: Filter, informed: Filter, d: Differences, atmospheric: bool, k
     if not outcome.ok or not is_finite(f.x, f.P):
         return unsolved(NOT_FINITE, f, informed)
     remember(f, d, layout, outcome.phase_used, time_s)
-    look = _look_of(known, setup, length_m, atmospheric, far, dense)
+    look = _look_of(known, setup, length_m, atmospheric, far, dense, mirrored)
     candidates = find_candidates(f, d, layout, outcome.phase_used, setup.ambiguity_mask_rad, setup.minimum_lock_epochs)
     wanted = isfinite(known.least_odds)
     if wanted and not look.far and not is_clear(f, candidates, known.memory, setup.resolve, look.level, known.least_odds):
@@ -274,11 +276,13 @@ def solve(before: Filter, informed: Filter, d: Differences, atmospheric: bool, k
 
 
 @kernel
-def _look_of(known: Known, setup: Setup, length_m: float, atmospheric: bool, far: bool, dense: bool) -> Look:
+def _look_of(known: Known, setup: Setup, length_m: float, atmospheric: bool, far: bool, dense: bool, mirrored: bool) -> Look:
     """Return how integers are looked for in this epoch; ``dense``: its phases count for less than they are worth (``placing``)."""
     sharper = sharpness(known.scale) if setup.by_epoch and not far else 1.0
     # Odds by a known length, or by sharper phases, are others than those that ``asked_odds`` knows.
     level = np.inf if sharper < 1.0 or isfinite(setup.resolve.length_m) else code_level(known.scale)
+    if mirrored:
+        level = at_least_street(level)
     return Look(far, atmospheric and not far, length_m, sharper, level, dense and sharper == 1.0)
 
 

@@ -27,11 +27,13 @@ Indices = NDArray[np.int64]
 
 # Columns of a single difference. CODE and PHASE (m): observed minus modelled, rover minus base, NaN where not to be used; ROVER_PHASE and
 # BASE_PHASE (m) the same of one receiver (time differences find slips in them); variances (m2); IONOSPHERE is (f1 / f)^2; CN0 the lower
-# of the two. CHANNEL that of GLONASS on G1 and G2, 0 for others. MODEL_L1 (m): the model's ionosphere on L1, rover minus base.
+# of the two. CHANNEL that of GLONASS on G1 and G2, 0 for others. MODEL_L1 (m): the model's ionosphere on L1, rover minus base. GAIN_DB is
+# the rover's C/N0 less the base's, NaN where one is not known.
 (
     CODE, PHASE, ROVER_PHASE, BASE_PHASE, CODE_VARIANCE, PHASE_VARIANCE, WAVELENGTH, IONOSPHERE, CN0, ELEVATION_RAD, CHANNEL, MODEL_L1,
-) = range(12)  # fmt: skip
-DIFFERENCE: Final = 12
+    GAIN_DB,
+) = range(13)  # fmt: skip
+DIFFERENCE: Final = 13
 
 # Columns of what a receiver says of a signal; the sigmas (m, cycles) are NaN if it does not say them.
 WORD_CN0, WORD_CODE_SIGMA, WORD_PHASE_SIGMA = range(3)
@@ -154,6 +156,7 @@ def single_differences(
         out[k, WAVELENGTH], out[k, IONOSPHERE] = wavelength_m[k], scale * scale
         out[k, ROVER_PHASE], out[k, BASE_PHASE] = rover[k, 1], base[k, 1]
         out[k, CN0], out[k, ELEVATION_RAD], out[k, CHANNEL] = cn0, elevation, channels[k]
+        out[k, GAIN_DB] = rover_cn0_dbhz - base_cn0_dbhz if rover_cn0_dbhz > 0.0 and base_cn0_dbhz > 0.0 else np.nan
         out[k, MODEL_L1] = geometry[satellite_index[k], IONOSPHERE_L1_M] - base_geometry[satellite_index[k], IONOSPHERE_L1_M]
         usable = elevation >= mask_rad
         out[k, CODE] = rover[k, 0] - base[k, 0] if usable else np.nan
