@@ -52,7 +52,8 @@ def test_an_hour_beside_rtklib(benchmarks: SimpleNamespace) -> None:
 
 
 def test_waves_of_the_ionosphere_make_no_lasting_wrong_fixes(benchmarks: SimpleNamespace) -> None:
-    """Three hours of stations 50 km apart: as long as ionospheres lasted for an hour in both filters, 88 of these fixes were wrong."""
+    """Three hours of stations 50 km apart: as long as ionospheres lasted for an hour in both filters 88 of these fixes were wrong
+    (without the slope that lasts for hours)."""
     stations = benchmarks.stations
     level = stations.level_of("GR:50:unknown")
     found = stations.stations_of(level, 1, 3)
