@@ -43,15 +43,16 @@ def test_a_vague_fix_of_few_satellites_is_none_where_codes_tell_of_reflections(l
         assert published.is_vague(cov_m2, level, satellites) == (sigma_m > limit_m)
 
 
-def test_a_far_fix_is_less_sure_of_its_height_and_of_nothing_else():
+@pytest.mark.parametrize(("length_m", "share"), [(9e3, 1.0), (15e3, 0.775), (20e3, 0.55), (50e3, 0.55)])
+def test_of_a_far_fix_a_share_counts_and_without_calibrations_its_height_is_less_sure(length_m: float, share: float):
     """By 0.65 mm per km, in the direction that is up at the rover."""
     base_ecef_m, rng = np.array([3.9e6, 3.0e5, 5.0e6]), np.random.default_rng(6)
-    baseline_m, root = np.array([-2.0e4, 2.5e4, 1.4e4]), 0.01 * rng.normal(size=(3, 3))
+    baseline_m, root = length_m * np.array([-0.6, 0.64, 0.48]), 0.01 * rng.normal(size=(3, 3))
     P = root @ root.T
     turn = enu_from_ecef_at(base_ecef_m + baseline_m)
-    more = turn @ (published.far_covariance(P, base_ecef_m, baseline_m) - P) @ turn.T
-    expected = np.diag([0.0, 0.0, (0.65e-6 * np.linalg.norm(baseline_m)) ** 2])
-    assert more == pytest.approx(expected, abs=1e-12)
+    known, unknown = (published.far_covariance(P, base_ecef_m, baseline_m, calibrated) for calibrated in (True, False))
+    assert known == pytest.approx(share * P)
+    assert turn @ (unknown - known) @ turn.T == pytest.approx(np.diag([0.0, 0.0, (0.65e-6 * length_m) ** 2]), abs=1e-12)
 
 
 def test_what_an_ambiguity_takes_is_the_weighted_mean():

@@ -45,6 +45,11 @@ SMOOTH_VERTICAL: Final = 1.5e-6
 # The same of a filter that has ionospheres as states, but between antennas without calibrations hardly a zenith delay. Simulated runs of 10
 # and 35 km are in height 1.3 and 1.9 sigmas off without it, nl_35km against its known position 1.2; with it 1.1, 1.0 and 0.9.
 FAR_VERTICAL: Final = 0.65e-6
+# What of the informed filter's covariance counts, from 10 to 20 km falling to this: it takes errors of orbits, which go with the length and
+# are alike on both bands, for noise of each, and is open to ionospheres of active days. Squared errors of its fixes are 0.1 to 0.7 of it
+# (stations of 20 to 50 km, quiet to lively days; runs of 35 km, quiet to active), nl_35km 0.2.
+FAR_SHARE: Final = 0.55
+_FAR_FROM_M, _FAR_ALL_M = 10e3, 20e3
 # Sigma in 3D (m) of a fix of few satellites, as it is published, from which it is none where codes tell of reflections: phases are then
 # reflected too. Of 66 such fixes in simulated streets 24 were off by more than 0.15 m, of 31 of more satellites none.
 VAGUE_M: Final = 0.12
@@ -150,11 +155,17 @@ def held_satellites(f: Filter, d: Differences, layout: Layout) -> tuple[int, int
 
 
 @kernel
-def far_covariance(P: Matrix, base_ecef_m: Vector, baseline_ecef_m: Vector) -> Matrix:
-    """Return the covariance (m2, ECEF) of a fix by the informed filter, whose own is ``P``, where the zenith delay is hardly a state."""
-    geodetic, out = geodetic_from_ecef(base_ecef_m + baseline_ecef_m), P[:3, :3].copy()
-    up = enu_from_ecef(geodetic[0], geodetic[1])[2]
+def far_covariance(P: Matrix, base_ecef_m: Vector, baseline_ecef_m: Vector, calibrated: bool) -> Matrix:
+    """Return the covariance (m2, ECEF) of a fix by the informed filter, whose own is ``P``; of antennas that are not ``calibrated`` the
+    zenith delay is hardly a state.
+    """
     length2_m2 = baseline_ecef_m[0] ** 2 + baseline_ecef_m[1] ** 2 + baseline_ecef_m[2] ** 2
+    far = min(max((sqrt(length2_m2) - _FAR_FROM_M) / (_FAR_ALL_M - _FAR_FROM_M), 0.0), 1.0)
+    out = (1.0 - far * (1.0 - FAR_SHARE)) * P[:3, :3]
+    if calibrated:
+        return out
+    geodetic = geodetic_from_ecef(base_ecef_m + baseline_ecef_m)
+    up = enu_from_ecef(geodetic[0], geodetic[1])[2]
     for i in range(3):
         for j in range(3):
             out[i, j] += FAR_VERTICAL**2 * length2_m2 * up[i] * up[j]

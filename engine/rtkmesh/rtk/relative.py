@@ -314,8 +314,8 @@ def _published(
     if not resolution.fixed:
         P = f.P[:DYNAMIC, :DYNAMIC].copy()
         return Solved(SOLVED, f, informed, f.x[:DYNAMIC].copy(), P, figures, satellites, float_scale * P[:3, :3], (place.x, place.P))
-    if len(informed.keys) > 0 and len(setup.antennas) == 0:
-        published = far_covariance(resolution.P, known.base_ecef_m, resolution.x[:3])
+    if len(informed.keys) > 0:
+        published = far_covariance(resolution.P, known.base_ecef_m, resolution.x[:3], len(setup.antennas) > 0)
     return Solved(SOLVED, f, informed, resolution.x, resolution.P, figures, satellites, published, (place.x, place.P))
 
 
