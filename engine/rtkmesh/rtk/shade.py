@@ -63,9 +63,12 @@ def leave_shade(f: Filter, d: Differences, scale: Matrix, model_ecef_m: Vector) 
 @kernel_in_place
 def find_shaded(d: Differences, out: Flags) -> int:
     """Write which signals are in shade; return how many."""
-    count = 0
+    count, strongest_db = 0, -np.inf
     for k in range(len(out)):
-        out[k] = _is_shaded(d, k)
+        if d.table[k, GAIN_DB] > strongest_db:
+            strongest_db = d.table[k, GAIN_DB]
+    for k in range(len(out)):
+        out[k] = strongest_db > d.table[k, GAIN_DB] + SHADE_DB and _is_shaded(d, k)
         count += 1 if out[k] else 0
     return count
 
