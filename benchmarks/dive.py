@@ -113,9 +113,8 @@ def _note(errors: Errors, run: Simulated, k: int, position_ecef_m: NDArray[np.fl
 def theirs(mission: Mission, files: Files, systems: str, ambiguities: str, *, restarted: bool) -> Errors:
     """Return the errors of rnx2rtkp's fixes."""
     run = mission.run
-    x, y, z = run.base_ecef_m.tolist()
     plain = rtklib.plain_options("kinematic", systems, run.setup.options.frequencies, ambiguities)
-    options = f"{plain}out-solformat=xyz\nant2-postype=xyz\nant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n"
+    options = plain + rtklib.base_options(run.base_ecef_m.tolist())
     errors = np.full(run.setup.epochs, np.nan)
     for span in mission.surfacings if restarted else [(0, run.setup.epochs)]:
         found = by_rnx2rtkp(run.start, files, options, span)

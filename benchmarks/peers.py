@@ -132,7 +132,8 @@ class Peer:
         moving = asked.mode is Mode.MOVING_BASE
         mode = "movingbase" if moving else "kinematic"
         plain = rtklib.plain_options(mode, systems, asked.frequencies, self.ambiguities, demo5=self.demo5)
-        return plain + self.further + settings.options() + (self._of_moving_base(run) if moving else _of_base(run))
+        base = self._of_moving_base(run) if moving else rtklib.base_options(run.base_ecef_m.tolist())
+        return plain + self.further + settings.options() + base
 
     def _of_moving_base(self, run: Simulated) -> str:
         """Return what is known of the distance, and that the baseline is asked for; demo5 fixes less when it is told the distance."""
@@ -141,11 +142,6 @@ class Peer:
         asked = run.setup.options
         length = "" if asked.baseline_length_m is None else f"pos2-baselen={asked.baseline_length_m:.4f}\n"
         return f"{length}pos2-basesig={asked.baseline_sigma_m}\nout-solformat=enu\n"
-
-
-def _of_base(run: Simulated) -> str:
-    x, y, z = run.base_ecef_m.tolist()
-    return f"out-solformat=xyz\nant2-postype=xyz\nant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n"
 
 
 @cache

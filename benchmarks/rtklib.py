@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -147,6 +148,12 @@ def plain_options(mode: str, systems: str, frequencies: int, ambiguities: str, *
     bits = sum(_SYSTEM_BITS[system] for system in systems)
     chosen = {"pos1-posmode": mode, "pos1-navsys": bits, "pos1-frequency": bands, "pos2-armode": ambiguities}
     return _PLAIN + "pos2-gloarmode=off\n" + "".join(f"{name}={value}\n" for name, value in chosen.items())
+
+
+def base_options(base_ecef_m: Iterable[float]) -> str:
+    """Return the options of a base that stands there, and of positions as ECEF."""
+    x, y, z = base_ecef_m
+    return f"out-solformat=xyz\nant2-postype=xyz\nant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n"
 
 
 def moving_base(case: Case, systems: str, frequencies: int, ambiguities: str, length_m: float | None = None) -> Track:

@@ -30,9 +30,8 @@ class StationPeer:
 
     def solve(self, files: Files, systems: str, base_ecef_m: Iterable[float], start: GpsTime, seconds: float) -> Track | None:
         """Return its solutions; None where it has none."""
-        x, y, z = base_ecef_m
         options = rtklib.plain_options("kinematic", systems, 2, self.ambiguities, demo5=self.demo5) + self.further
-        options += f"out-solformat=xyz\nant2-postype=xyz\nant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n"
+        options += rtklib.base_options(base_ecef_m)
         return (by_demo5 if self.demo5 else by_rnx2rtkp)(start, files, options, (0.0, seconds))
 
 

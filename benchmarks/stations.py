@@ -138,9 +138,9 @@ def seen_by(stations: Stations, epochs: int) -> Iterator[Seen]:
     known: tuple[int, int, int, int] | None = None
     for k in range(epochs):
         time = stations.start + k * STEP_S
-        told, before = issues(time), known
-        known = told
-        new = [with_orbit_error(broadcast(satellite, time), stations.seed) for satellite in SATELLITES.tolist()] if told != before else []
+        new: list[Ephemeris] = []
+        if (told := issues(time)) != known:
+            known, new = told, [with_orbit_error(broadcast(satellite, time), stations.seed) for satellite in SATELLITES.tolist()]
         yield Seen(new, stations.rover.observe(time).epoch, stations.base.observe(time).epoch)
 
 

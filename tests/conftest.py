@@ -3,8 +3,11 @@
 import os
 import shutil
 import signal
+import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -21,6 +24,7 @@ settings.register_profile("fuzz", deadline=None, max_examples=5000, suppress_hea
 settings.load_profile("fuzz" if os.environ.get("RTKMESH_FUZZ") else "ci" if os.environ.get("CI") else "tests")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+BENCHMARKS = REPOSITORY / "benchmarks"
 TIMED = {"services", "fuzz"}  # folders whose tests meet the machine's clock: a second try, told by the summary, where the first one fails
 
 
@@ -41,6 +45,17 @@ def data() -> Path:
             pytest.fail("the recordings are missing on CI (RTKMESH_DATA or ../shared/data)")
         pytest.skip("no recordings: set RTKMESH_DATA")
     return folder
+
+
+@pytest.fixture(scope="module")
+def benchmarks(request: pytest.FixtureRequest) -> Iterator[SimpleNamespace]:
+    """The benchmarks that the test module lists as ``NAMES``: their folder is no package, and they are forgotten after the module."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(BENCHMARKS))
+        yield SimpleNamespace(**{name: __import__(name) for name in request.module.NAMES})
+    for name, module in list(sys.modules.items()):
+        if Path(getattr(module, "__file__", None) or "/").parent == BENCHMARKS:
+            del sys.modules[name]
 
 
 @pytest.fixture(scope="session")

@@ -1,28 +1,18 @@
 """The arithmetic of benchmarks/integrity.py: what is wrong, beyond, available and hazardous."""
 
-import sys
-from collections.abc import Iterator
-from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+NAMES = ("integrity",)
 FIX, FLOAT = 1.0, 2.0
 
 
 @pytest.fixture(scope="module")
-def integrity() -> Iterator[ModuleType]:
-    """The benchmark's module; its folder is no package."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import integrity
-
-        yield integrity
-    for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "/").parent == BENCHMARKS:
-            del sys.modules[name]
+def integrity(benchmarks: SimpleNamespace) -> ModuleType:
+    """The benchmark's module."""
+    return benchmarks.integrity
 
 
 def test_shares_of_known_errors(integrity: ModuleType):

@@ -1,9 +1,7 @@
 """The recording of four antennas in motion: its main figures hold (benchmarks/four_antennas.py, every epoch; faults in some)."""
 
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,20 +10,13 @@ from rtkmesh.attitude.calibration import Calibration, calibrate
 from rtkmesh.attitude.integrity import Finding
 
 pytestmark = pytest.mark.data
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+NAMES = ("four_antennas",)
 
 
 @pytest.fixture(scope="module")
-def benchmark() -> Iterator[ModuleType]:
-    """The benchmark's module, which reads the recording; its folder is no package."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import four_antennas
-
-        yield four_antennas
-    for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "/").parent == BENCHMARKS:
-            del sys.modules[name]
+def benchmark(benchmarks: SimpleNamespace) -> ModuleType:
+    """The benchmark's module, which reads the recording."""
+    return benchmarks.four_antennas
 
 
 @pytest.fixture(scope="module")

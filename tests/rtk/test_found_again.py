@@ -1,10 +1,7 @@
 """A rover that stands is found again where it was, when nothing was seen for a while."""
 
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,23 +13,16 @@ from rtkmesh.simulation.receiver import ReceiverOptions
 
 pytestmark = pytest.mark.slow  # without compiled kernels
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+NAMES = ("simulated",)
 HIDDEN, SEEN = 40, 46  # seconds from and to which nothing is seen
 ELSEWHERE_ENU_M = (-180.0, 20.0, 3.0)
 M8_OF_GPS = replace(classes.M8, systems="G")
 
 
 @pytest.fixture(scope="module")
-def simulated() -> Iterator[ModuleType]:
-    """The module that simulates and judges runs; its folder is no package."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import simulated
-
-        yield simulated
-    for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "/").parent == BENCHMARKS:
-            del sys.modules[name]
+def simulated(benchmarks: SimpleNamespace) -> ModuleType:
+    """The module that simulates and judges runs."""
+    return benchmarks.simulated
 
 
 def hidden(simulated: ModuleType, seed: int, rover: ReceiverOptions, **changes: Any) -> Any:

@@ -1,10 +1,7 @@
 """Where fixes are at more than 1 Hz, and which phases they are of: what an epoch says of its own place counts in full."""
 
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from rtkmesh.rtk.slips import NO_SLIP, Verdicts
 from rtkmesh.rtk.state import ARC_EPOCHS, DYNAMIC, REJECTS
 from rtkmesh.rtk.update import Layout, update
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+NAMES = ("campaign", "simulated")
 INFLATION = 9.0  # at 10 Hz
 STILL = np.full(3, np.nan), np.full((3, 3), np.nan)
 
@@ -87,20 +84,6 @@ def test_a_phase_that_does_not_fit_begins_anew_after_as_many_seconds_at_every_ra
     assert (f.history[others, REJECTS] == 0.0).all()
 
 
-@pytest.fixture(scope="module")
-def benchmarks() -> Iterator[tuple[ModuleType, ModuleType]]:
-    """The modules of the campaign and of its families; their folder is no package."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import campaign
-        import simulated
-
-        yield campaign, simulated
-    for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "/").parent == BENCHMARKS:
-            del sys.modules[name]
-
-
 def thinned(run, every):
     """Return the run with every so many epochs alone."""
     setup = replace(run.setup, rate_hz=run.setup.rate_hz // every)
@@ -112,9 +95,9 @@ def thinned(run, every):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "run"), [("forest", 38), ("urban", 6)])
-def test_ten_epochs_a_second_place_fixes_no_worse_than_one_of_them(benchmarks, name: str, run: int):
+def test_ten_epochs_a_second_place_fixes_no_worse_than_one_of_them(benchmarks: SimpleNamespace, name: str, run: int):
     """By inflated phases their errors were 1.24 and 1.01 times as large as those of the thinned ones, now 0.86 and 0.84 times."""
-    campaign, simulated = benchmarks
+    campaign, simulated = benchmarks.campaign, benchmarks.simulated
     family = next(f for f in campaign.FAMILIES if f.name == name)
     dense = campaign.simulated_run(family, 1, run, campaign.Rates(10))
     all_of_them, one_a_second = (simulated.judge(r, simulated.solve(r)) for r in (dense, thinned(dense, 10)))

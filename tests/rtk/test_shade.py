@@ -1,10 +1,7 @@
 """Signals in shade: which are, what tells reflections from trees, and what is put aside."""
 
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +18,7 @@ from rtkmesh.rtk.shade import ENOUGH, REFLECTED_CODE_M, SHADED_DOF, find_shaded,
 from rtkmesh.rtk.state import HISTORY, INTEGER, Filter, new_filter
 from rtkmesh.rtk.walk import no_walk
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+NAMES = ("campaign",)
 MODEL_ECEF_M = np.array([4.0e6, 1.0e6, 4.8e6])
 CODE_M = 0.8
 WEAK_DB = 11.0
@@ -132,16 +129,9 @@ def test_ten_epochs_of_a_second_tell_of_shade_as_one():
 
 
 @pytest.fixture(scope="module")
-def campaign() -> Iterator[ModuleType]:
-    """The module that draws runs of families; its folder is no package."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import campaign
-
-        yield campaign
-    for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "/").parent == BENCHMARKS:
-            del sys.modules[name]
+def campaign(benchmarks: SimpleNamespace) -> ModuleType:
+    """The module that draws runs of families."""
+    return benchmarks.campaign
 
 
 @pytest.mark.slow  # without compiled kernels
